@@ -26,7 +26,7 @@ class NoConfig(CheckedConfig):
 
 
 class ArrayGiver(Giver):
-    """Base class of givers whose state is in arrays (n, ...), one row for each of n episodes; alone, a giver has one.
+    """Base class of givers whose state is in arrays (n, ...), with one row for each of the n episodes they act in.
 
     Subclasses define `decide`, `initial_state` if they keep a state, and `start` if they draw a part of it. Actions do
     not depend on the other episodes. Arrays are NumPy arrays or PyTorch tensors. The argument `rows` (r,) of methods
@@ -82,11 +82,11 @@ class ArrayGiver(Giver):
         return steps_from_hold_time(self.hold_time)
 
     def reset(self, seed: int | None = None) -> None:
-        """Start an episode of a giver by itself; the seed determines its random numbers."""
+        """Start an episode of a giver that acts in a single one; the seed determines its random numbers."""
         self.start(0, seed)
 
     def act(self, observation: Observation) -> Action:
-        """Return the action (8,) of a giver by itself, which acts in one episode."""
+        """Return the action (8,) of a giver that acts in a single episode, for its observation in it."""
         action: Action = self.decide(ONLY_ROW, add_episode_axis(observation))[0]
         return action
 
@@ -104,7 +104,15 @@ class ArrayGiver(Giver):
         rotation: float | AnyArray = 0.0,
         release: float | AnyArray = 0.0,
     ) -> Actions:
-        """Make actions (r, 8) from components, (r, ...) or one for all; see `policies.batch.make_giver_actions`."""
+        """Make actions (r, 8) of the giver in the episodes `rows`; components are (r, ...), or one for all.
+
+        Args:
+            rows: Indices (r,) of the episodes.
+            rate: Playback rate minus 1.
+            displacement: Set-point (3,) of the wrist's displacement, world frame (m).
+            rotation: Set-point (3,) of the rotation vector about the wrist, world frame (rad).
+            release: Whether to release the object; 1 is yes.
+        """
         return make_giver_actions(len(rows), rate, displacement, rotation, release, self.arrays)
 
     def make_pauses(self, rows: AnyIndices, is_paused: AnyArray) -> Actions:

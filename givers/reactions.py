@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar, TypeAlias
+from typing import ClassVar
 
 import numpy as np
 
@@ -15,15 +15,12 @@ from handover_marl.geometry.rotations import quaternions_from_rotation_vectors
 from handover_marl.givers.array_giver import ArrayGiver, compute_gripper_object_distances
 from handover_marl.policies.batch import Actions
 
-#: Flags (r,).
-Flags: TypeAlias = AnyArray
-
 
 class HandoverPoseVariation:
-    """Schedule of the scale of givers' deviations, which changes whenever the gripper has not approached for 2 s.
+    """Factors by which n givers scale their deviations; each changes if the gripper has not approached for 2 s.
 
     Args:
-        count: Number of episodes.
+        count: Number n of episodes.
         arrays: Creator of the arrays.
 
     Attributes:
@@ -149,14 +146,14 @@ class CooperativeGiver(ArrayGiver):
             release=~released & self._are_grasped(rows, ~released, near, observation),
         )
 
-    def _has_arrived(self, observation: Observation) -> Flags:
+    def _has_arrived(self, observation: Observation) -> AnyArray:
         """Return (r,) whether the recorded hand holds the object and moves little in the next half second."""
         xp, wrist = self.arrays.xp, observation["replay_wrist_poses"][..., :3]
         moves = widen(xp.max(xp.abs(wrist - wrist[:, :1]), axis=(1, 2)))
         return (observation["holding"][:, 0] != 0.0) & (moves < self.arrival_tolerance)
 
     def _choose_poses(self, rows: AnyIndices, observation: Observation) -> None:
-        """Set the deviations of the episodes `rows` from the recorded poses half a second ahead."""
+        """Choose displacements and rotations in the episodes `rows`, from the recorded poses half a second ahead."""
         xp, config = self.arrays.xp, self.config
         gripper = widen(observation["gripper_pose"][:, :3])
         wrist = widen(observation["replay_wrist_poses"][:, -1, :3])
@@ -180,8 +177,15 @@ class CooperativeGiver(ArrayGiver):
         is_turned = size >= 1e-9
         return xp.where(is_turned[:, None], axes / xp.where(is_turned, size, 1.0)[:, None] * angle[:, None], 0.0)
 
-    def _are_grasped(self, rows: AnyIndices, held: Flags, near: Flags, observation: Observation) -> Flags:
-        """Return (r,) whether the robot's fingers have rested for `grasp_time` on an object that the person `held`."""
+    def _are_grasped(self, rows: AnyIndices, held: AnyArray, near: AnyArray, observation: Observation) -> AnyArray:
+        """Return (r,) whether the fingers have rested on the object for `grasp_time`.
+
+        Args:
+            rows: Indices (r,) of the episodes.
+            held: Whether the person still holds the object, (r,).
+            near: Whether the gripper is near the object, (r,).
+            observation: Observations (r, ...) of the giver.
+        """
         xp, now = self.arrays.xp, widen(observation["time"][:, 0])
         fingers, speeds = (widen(observation[f"robot_joint_{key}"][:, 7:]) for key in ("position", "velocity"))
         resting = xp.all((xp.abs(speeds) < 2e-3) & (fingers > 1e-3) & (fingers < 0.0385), axis=1) & near
@@ -190,8 +194,8 @@ class CooperativeGiver(ArrayGiver):
         self.state["grasped_since"][rows] = since
         return resting & (now - since >= self.grasp_time)
 
-    def _withdraw(self, rows: AnyIndices, begins: Flags, shift: AnyArray, observation: Observation) -> None:
-        """Set the final displacement of the hands that begin to withdraw: from `shift` (r, 3) away from the gripper."""
+    def _withdraw(self, rows: AnyIndices, begins: AnyArray, shift: AnyArray, observation: Observation) -> None:
+        """Set the final displacement of hands that begin to withdraw, where `begins` (r,): from `shift` (r, 3) away."""
         away = observation["hand_keypoints"][:, 0] - observation["gripper_pose"][:, :3]
         withdrawal = shift + self.config.withdrawal * away / compute_lengths(away).clip(1e-6)[:, None]
         withdrawn = self.state["withdrawal"]

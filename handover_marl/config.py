@@ -111,17 +111,12 @@ def _check_nested_numbers(name: str, value: Any) -> None:
 
 def _check_number(name: str, value: Any, is_integer: bool, limits: tuple[float, float]) -> None:
     low, high = limits
-    shown = value
     is_number = isinstance(value, Integral if is_integer else Real) and not isinstance(value, bool)
-    try:
-        is_number = is_number and math.isfinite(value) and low <= float(value) <= high
-    except OverflowError:  # integers beyond the range of floats, with too many digits to be shown
-        is_number, shown = False, math.copysign(math.inf, value > 0)
-    if not is_number:
+    if not is_number or not math.isfinite(value) or not low <= value <= high:
         text = "an integer" if is_integer else "a finite number"
         if limits != (-math.inf, math.inf):
             text += f" from {low:g} to {high:g}" if math.isfinite(high) else f" of at least {low:g}"
-        raise OptionError(f"{name} must be {text}, got {shown!r}")
+        raise OptionError(f"{name} must be {text}, got {value!r}")
 
 
 @dataclass(frozen=True)

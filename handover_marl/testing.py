@@ -16,7 +16,7 @@ import numpy.typing as npt
 from handover_marl.datasets import Dataset, open_dataset
 from handover_marl.episode.camera_observations import WristCameraConfig
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import EpisodeCallback, PolicyDecision, run_episode, steps_from_hold_time
+from handover_marl.episode.loop import EpisodeCallback, PolicyDecision, run_episode
 from handover_marl.episode.observations import Observation
 from handover_marl.errors import ConformanceError
 from handover_marl.execution.options import is_pybullet_installed
@@ -106,9 +106,7 @@ class _CheckedPolicy:
 
     @property
     def hold_time(self) -> float:
-        hold_time = self._policy.hold_time
-        steps_from_hold_time(hold_time)
-        return hold_time
+        return self._policy.hold_time
 
 
 def _check(agent: str, policy: PolicyLike, dataset: Dataset, scenes: Sequence[int], steps: int) -> None:

@@ -33,7 +33,7 @@ CONFIGS: tuple[CheckedConfig, ...] = (
 )
 
 
-@pytest.mark.parametrize("value", [None, "13", math.nan, -math.inf, (), (math.nan,) * 9, True, -(10**400), b"a", dict])
+@pytest.mark.parametrize("value", [None, "13", math.nan, -math.inf, (), (math.nan,) * 9, True, b"a", dict])
 def test_wrong_values_are_refused_with_the_name_of_the_field(value: Any) -> None:
     for config in CONFIGS:
         values: dict[str, Any] = {part.name: getattr(config, part.name) for part in fields(config)}  # type: ignore[arg-type]

@@ -117,7 +117,7 @@ def set_discount(rewards: RewardLike, discount: float) -> Any:
 def make_reward_source(
     rewards: RewardLike, goal: tuple[float, ...], count: int = 1, arrays: ArrayFactory = NUMPY_ARRAYS
 ) -> RewardSource:
-    """Make the source of the reward terms of n episodes.
+    """Make the object that computes the reward terms of n episodes.
 
     Each episode gets a deep copy of a reward object, so that episodes do not share its attributes.
 
@@ -150,7 +150,7 @@ class SummedRewardSource(RewardSource):
         self._parts = parts
 
     def start(self, rows: AnyIndices, step: StepData) -> TermNames:
-        """Start episodes; see `RewardSource.start`.
+        """Start the episodes `rows`; return the names of the terms by agent. See `RewardSource.start`.
 
         Raises:
             RewardError: Two parts have a term of the same name.
@@ -167,7 +167,7 @@ class SummedRewardSource(RewardSource):
         return names
 
     def compute(self, rows: AnyIndices, step: StepData) -> dict[str, ArrayTerms]:
-        """Return the values of the terms; see `RewardSource.compute`."""
+        """Return the weighted values (r,) of all parts' terms by agent and name; see `RewardSource.compute`."""
         terms: dict[str, ArrayTerms] = {agent: {} for agent in AGENTS}
         for weight, part in self._parts:
             for agent, own in part.compute(rows, step).items():
@@ -190,7 +190,7 @@ class CustomRewardSource(RewardSource):
         self._names: dict[str, list[str]] = {}
 
     def start(self, rows: AnyIndices, step: StepData) -> TermNames:
-        """Start episodes; see `RewardSource.start`.
+        """Start the episodes `rows`; return the names of the terms by agent. See `RewardSource.start`.
 
         Raises:
             RewardError: The function fails or returns something else than terms by agent.
@@ -209,7 +209,7 @@ class CustomRewardSource(RewardSource):
         return self._names
 
     def compute(self, rows: AnyIndices, step: StepData) -> dict[str, ArrayTerms]:
-        """Return the values of the terms, 0 for those that are not returned; see `RewardSource.compute`.
+        """Return the values (r,) of the terms by agent and name; 0 for terms that the function does not return.
 
         Raises:
             RewardError: The function fails, or a term is of an unknown agent, has an unknown name, or is

@@ -112,7 +112,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         self.dataset = open_dataset(config.dataset, config.data_dir, config.robot)
         self.config = config = replace(config, setup=self.dataset.resolve_setup(config.setup))
         split = self.dataset.list_scenes(config.setup, config.split)
-        self.scene_ids = choose_scenes(split, config.scenes, self._split_name)
+        self.scene_ids = choose_scenes(split, config.scenes, f"{config.setup} {config.split}")
         self.possible_agents = list(AGENTS)
         self.agents: list[str] = []
         self.render_mode = config.render_mode
@@ -147,7 +147,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
 
     @property
     def policy_context(self) -> PolicyContext:
-        """Robot, rules, objects and grasps for constructors of policies that act here."""
+        """Robot, rules, objects and grasps, which constructors of policies for this environment take."""
         return make_policy_context(self.dataset, self.config.world_config, self.config.setup)
 
     def observation_space(self, agent: str) -> spaces.Dict:
@@ -181,11 +181,10 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         self._stop()
         if seed is not None:
             self.np_random, _ = seeding.np_random(seed)
-        scene_id = check_scene_option(options or {}, self.scene_ids, self._split_name)
-        scene_id = int(self.np_random.choice(self.scene_ids)) if scene_id is None else scene_id
-        scene = self.dataset.load_scene(scene_id)
-        self._episode.reset(scene, draw_robot_seed(self.np_random, self.config.world_config))
-        self._episode.seed_camera(spawn_camera_seed(self.np_random))
+        scene = self.dataset.load_scene(self.choose_scene(options, self.np_random))
+        robot_seed, camera_seed = draw_seeds(self.np_random, self.config.world_config)
+        self._episode.reset(scene, robot_seed)
+        self._episode.seed_camera(camera_seed)
         self._cycles = 0
         observations = self._observe()
         infos = self._make_infos()
@@ -281,6 +280,16 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         """
         return self._episode.capture_wrist_camera()
 
+    def choose_scene(self, options: dict[str, Any] | None, rng: np.random.Generator) -> int:
+        """Return the number of the scene that the options of `reset` choose, or else of one drawn from `rng`.
+
+        Raises:
+            OptionError: The options are no mapping, or have another key of a scene than `scene_id`.
+            SceneError: The scene is not in the split.
+        """
+        scene_id = check_scene_option(options or {}, self.scene_ids, f"{self.config.setup} {self.config.split}")
+        return int(rng.choice(self.scene_ids)) if scene_id is None else scene_id
+
     def set_partner(self, agent: str, policy: EpisodePolicy, seed: int | None) -> None:
         """Let a policy act for an agent until the next reset, at its own control period and seeded as in evaluations.
 
@@ -292,7 +301,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
             seed: Seed of the run.
 
         Raises:
-            PolicyError: A giver fails.
+            PolicyError: The policy is a giver and fails at the start of the episode.
             ResetNeededError: No episode has been started.
         """
         self._partner = EpisodeAgent(self._episode, agent, policy, seed)
@@ -307,10 +316,6 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         if self._partner is None:
             raise ResetNeededError("no policy acts for an agent; call reset() of the environment made by freeze()")
         return self._partner.act()
-
-    @property
-    def _split_name(self) -> str:
-        return f"{self.config.setup} {self.config.split}"
 
     def _check_open(self) -> None:
         if self._is_closed:
@@ -352,15 +357,15 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         return {agent: dict(info) for agent in AGENTS}
 
 
-def draw_robot_seed(rng: np.random.Generator, config: WorldConfig) -> int:
-    """Draw the seed of the noise on the robot's initial joints from `rng`; without noise return 0, draw nothing."""
-    return int(rng.integers(2**32)) if config.initial_joint_noise else 0
+def draw_seeds(rng: np.random.Generator, config: WorldConfig) -> tuple[int, int]:
+    """Return 32-bit seeds of the noise on the robot's initial joints and of the wrist camera.
 
-
-def spawn_camera_seed(rng: np.random.Generator) -> int:
-    """Spawn another 32-bit seed for the wrist camera; the numbers that `rng` draws do not change."""
+    Only the first is drawn from `rng`, and only if there is noise, else it is 0. The other is spawned, which does not
+    change the numbers that `rng` draws.
+    """
+    robot_seed = int(rng.integers(2**32)) if config.initial_joint_noise else 0
     seeds = rng.bit_generator.seed_seq.spawn(1)  # type: ignore[attr-defined]
-    return int(seeds[0].generate_state(1)[0])
+    return robot_seed, int(seeds[0].generate_state(1)[0])
 
 
 def _make_step_data(transition: Transition) -> StepData:

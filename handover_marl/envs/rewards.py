@@ -120,7 +120,7 @@ def compute_goal_potential(steps: Steps, states: AnyArray) -> AnyArray:
 
 
 def compute_shaping(potential: Callable[[Steps, AnyArray], AnyArray], steps: Steps) -> AnyArray:
-    """Return (r,) gamma times the potential after each step, 0 once terminated, minus the potential before it."""
+    """Return (r,) gamma times the potential after each step, 0 once terminated, minus the potential before the step."""
     # A timeout truncates an episode; only termination ends its potential.
     goes_on = widen((steps.status & ~int(EpisodeStatus.TIMEOUT)) == 0)
     return steps.gamma * goes_on * potential(steps, steps.states[:, -1]) - potential(steps, steps.states[:, -2])
@@ -144,7 +144,7 @@ def compute_path(position: slice, steps: Steps) -> AnyArray:
 
 
 def compute_jerk(position: slice, steps: Steps) -> AnyArray:
-    """Return (r,) the norm of the third difference of positions, in columns `position`, over T^2 (m/s^2)."""
+    """Return (r,) the norm of the third difference of positions, in columns `position`, over duration^2 (m/s^2)."""
     a, b, c, d = (steps.states[:, number, position] for number in range(_COUNT))
     jerk = compute_lengths(d - 3.0 * c + 3.0 * b - a) / steps.duration**2
     xp, durations = get_namespace(jerk), steps.states[:, 1:, _TIME] - steps.states[:, :-1, _TIME]
@@ -153,14 +153,14 @@ def compute_jerk(position: slice, steps: Steps) -> AnyArray:
 
 
 def compute_clearance(steps: Steps) -> AnyArray:
-    """Return (r,) min(d, 0.1) - 0.1 for the distance d (m) of gripper and hand, times T (m s); 0 without a hand."""
+    """Return (r,) the duration times (min(d, 0.1) - 0.1), d the distance (m) of gripper and hand; 0 without a hand."""
     distances, is_present = compute_hand_distances(steps.state), steps.state["hand_present"][:, 0] != 0.0
     missing = distances.clip(max=CLEARANCE_MARGIN) - CLEARANCE_MARGIN
     return widen(is_present) * missing * steps.duration
 
 
 def compute_hand_distances(state: Mapping[str, AnyArray]) -> AnyArray:
-    """Return the distances (r,) in m between the boxes of the open gripper and the nearest joint of the human hand."""
+    """Return the distances (r,) in m of the open gripper's boxes and the nearest hand joint in a state of `Steps`."""
     points = inverse_transform_points(state["gripper_pose"][:, None], state["hand_keypoints"])
     xp, points, centers, halves = as_arrays(points, GRIPPER_BOX_CENTERS, GRIPPER_BOX_HALF_SIZES)
     outside = (xp.abs(points[:, :, None] - centers) - halves).clip(0.0)
@@ -261,7 +261,7 @@ class StepData:
 
 
 class RewardSource(ABC):
-    """Interface of sources of both agents' reward terms in n episodes; `rows` (r,) are indices of episodes."""
+    """Interface of objects that compute both agents' reward terms in n episodes; `rows` (r,) are indices of these."""
 
     @abstractmethod
     def start(self, rows: AnyIndices, step: StepData) -> TermNames:
@@ -273,7 +273,7 @@ class RewardSource(ABC):
 
 
 class WeightedRewardSource(RewardSource):
-    """Source of the weighted terms of the library, those of this module's table.
+    """Source of the library's reward terms (`TERMS`), each multiplied by its weight.
 
     Args:
         weights: Weights of the terms.
@@ -290,14 +290,14 @@ class WeightedRewardSource(RewardSource):
         self._states = arrays.full((count, _COUNT, _SIZE), math.nan)
 
     def start(self, rows: AnyIndices, step: StepData) -> TermNames:
-        """Start episodes; see `RewardSource.start`."""
+        """Start the episodes `rows`; return the names of the terms by agent. See `RewardSource.start`."""
         if self._needs_state:
             self._states[rows] = math.nan
             self._states[rows, -1] = self._summarize(step.read_state(self._needs_forces))
         return self._weights
 
     def compute(self, rows: AnyIndices, step: StepData) -> dict[str, ArrayTerms]:
-        """Return the values of the terms; see `RewardSource.compute`."""
+        """Return the weighted values (r,) of the terms by agent and name; see `RewardSource.compute`."""
         states, state = self._states[rows], step.read_state(self._needs_forces) if self._needs_state else {}
         if self._needs_state:
             states = self._xp.concat([states[:, 1:], self._summarize(state)[:, None]], axis=1)

@@ -200,15 +200,15 @@ class WristCamera:
         self._renderer: str | None = None
         self._ray_camera: RayCamera | None = None
         self._history: deque[JointSnapshot] = deque(maxlen=self._delay + 1)
-        # Last image of each content, with its step.
-        self._images: dict[int, tuple[int, CameraImage]] = {}
+        # Last image with its step and content.
+        self._last: tuple[int, _ImageContent, CameraImage] | None = None
 
     def reset(self, scene: Scene, world: World) -> None:
         """Prepare the camera for an episode of a scene; the world must be at the scene's start."""
         if scene is not self._scene:
             self._ray_camera = None
         self._scene = scene
-        self._images.clear()
+        self._last = None
         self._history.clear()
         if self.has_latency:
             self.record_snapshot(world)
@@ -216,7 +216,7 @@ class WristCamera:
     def seed(self, seed: int) -> None:
         """Set the seed of subsampling and noise, which is 0 by default."""
         self._seed = seed
-        self._images.clear()
+        self._last = None
 
     def record_snapshot(self, world: World) -> None:
         """Record the current joint positions of `world`, from which an image is rendered after the latency."""
@@ -231,8 +231,6 @@ class WristCamera:
     def observe(self, obs_mode: str, world: World, steps: int) -> dict[str, npt.NDArray[Any]]:
         """Return the camera data of a mode, see `camera_observation_space`, after `steps` physics steps of a world."""
         parts, observation = parse_obs_mode(obs_mode), dict[str, npt.NDArray[Any]]()
-        if not has_camera(obs_mode):
-            return observation
         image = self._get_image(world, steps, _select_content(parts))
         clouds = self._compute_clouds(image, world, count_clouds(obs_mode))
         if parts & {POINTCLOUD, SCENE_POINTCLOUD}:
@@ -274,16 +272,14 @@ class WristCamera:
 
     def _get_image(self, world: World, steps: int, content: _ImageContent) -> CameraImage:
         """Return the image after `steps` physics steps with at least the given content, rendered if not yet known."""
-        for kind in range(content, _ImageContent.COLORED + 1):
-            known = self._images.get(kind)
-            if known is not None and known[0] == steps:
-                return known[1]
+        if self._last is not None and self._last[0] == steps and self._last[1] >= content:
+            return self._last[2]
         # Noise at edges needs the whole image.
         rendered = content if self._noise is None else max(content, _ImageContent.WHOLE)
         image = self._render(world, color=content == _ImageContent.COLORED, content=rendered)
         if self._noise is not None:
             image = apply_camera_noise(image, self._noise, self._make_rng(image.depth, steps, _NOISE_STREAM))
-        self._images[content] = (steps, image)
+        self._last = (steps, content, image)
         return image
 
     def _render(self, world: World, color: bool, content: _ImageContent) -> CameraImage:
@@ -312,7 +308,7 @@ class WristCamera:
         return _pad_cloud(cloud, N_POINTS)
 
     def _make_rng(self, content: npt.NDArray[np.float32], steps: int, stream: int) -> np.random.Generator:
-        """Return a generator that also depends on the image or cloud `content`, so that scenes differ with one seed."""
+        """Return a random generator, seeded by the camera's seed, `steps`, `stream` and the bytes of `content`."""
         digest = hashlib.sha256(content.tobytes()).digest()
         return np.random.default_rng((self._seed, steps, stream, int.from_bytes(digest[:8], "big")))
 

@@ -147,7 +147,7 @@ class Episode:
         giver_action: npt.NDArray[np.float32] = NO_DEVIATION,
         on_step: Sequence[Callable[["Episode"], None]] = (),
     ) -> None:
-        """Simulate up to `steps` physics steps with constant actions, or to the episode's end.
+        """Simulate `steps` physics steps with constant actions, or fewer if the episode ends.
 
         Args:
             robot_target: (9,) float32 target joint positions, 7 arm (rad) and 2 fingers (m).
@@ -216,7 +216,7 @@ class Episode:
         return observe(state, self.scene.info.object_ids, self._referee.released, time)
 
     def observe_for_policy(self, policy: object, state: Observation) -> Observation:
-        """Return the receiver's observation in the observation mode that its policy declares.
+        """Return the receiver's observation, arrays by key, in the observation mode that its policy declares.
 
         Args:
             policy: The receiver; its attribute `obs_mode` names the mode, "state" if it has none.

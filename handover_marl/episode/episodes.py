@@ -76,7 +76,7 @@ class Episodes:
         self.state["object_classes"][row, :count] = self.arrays.asarray(scene.info.object_ids, "float32")
 
     def advance(self, rows: AnyIndices, robot_targets: AnyArray, steps: int, giver_actions: AnyArray) -> None:
-        """Simulate up to `steps` physics steps with constant actions, or to each episode's end.
+        """Simulate `steps` physics steps with constant actions, in each episode until it ends.
 
         Args:
             rows: Indices (r,) of running episodes.

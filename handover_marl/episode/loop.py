@@ -33,7 +33,6 @@ class PolicyDecision:
         planning_time: Wall-clock time of the receiver's policy (s), without rendering; 0 if its last action is held.
         receiver_decided: Whether the receiver's policy acted now; otherwise its last action is held.
         giver_decided: Whether the giver's policy acted now; always false for a replayed giver.
-        rendering_time: Wall-clock time for rendering the receiver's camera data (s).
     """
 
     receiver_action: npt.NDArray[np.float32]
@@ -41,7 +40,6 @@ class PolicyDecision:
     planning_time: float
     receiver_decided: bool
     giver_decided: bool
-    rendering_time: float
 
 
 class EpisodeCallback:
@@ -54,7 +52,7 @@ class EpisodeCallback:
         """Handle the start of an episode; the base class does nothing."""
 
     def on_decision(self, episode: Episode, decision: PolicyDecision) -> None:
-        """Handle new actions of both policies, before the simulation applies them."""
+        """Handle the actions after each decision of a policy, before the simulation applies them."""
 
     def on_step(self, episode: Episode) -> None:
         """Handle a physics step, after the referee has updated the episode's status."""
@@ -190,16 +188,15 @@ class EpisodeAgent:
         agent: Agent that the policy acts for, "giver" or "receiver".
         action: Action that is held; empty before the first decision.
         due: Physics step from which on the policy is to be called again.
-        planning_time: Wall-clock time of the last call of the policy (s).
-        rendering_time: Wall-clock time in which the observation of the last decision was made (s).
+        planning_time: Wall-clock time of the last call of the policy (s), without rendering.
 
     Raises:
-        PolicyError: A giver fails.
+        PolicyError: The policy is a giver and fails at the start of the episode.
     """
 
     def __init__(self, episode: Episode, agent: str, policy: EpisodePolicy, seed: int | None) -> None:
         self.agent, self.action = agent, np.zeros(0, dtype=np.float32)
-        self.due, self.planning_time, self.rendering_time = 0, 0.0, 0.0
+        self.due, self.planning_time = 0, 0.0
         self._episode, self._policy, self._seed = episode, policy, seed
         self._is_giver = agent == "giver"
         self._giver_space, self._objects = giver_action_space(episode.config.giver), episode.scene.info.object_names
@@ -234,18 +231,16 @@ class EpisodeAgent:
             PolicyError: The policy fails.
             OptionError: The hold time of the policy is not a positive number.
         """
-        episode, now = self._episode, self._episode.steps
-        started = time.perf_counter()
+        episode = self._episode
         if self._is_giver:
             # Copies, so that a policy that writes into its arrays does not change the other's.
             observation = {key: value.copy() for key, value in episode.observe_giver(state).items()}
         else:
             observation = episode.observe_for_policy(self._policy, state) if self.observes else {}
-        self.rendering_time = time.perf_counter() - started
         if not self._is_giver and not self.action.size:
             start_policy(self._policy, derive_receiver_seed(self._seed, observation), self._objects)
         started = time.perf_counter()
-        action, self.due = call_policy(self._policy, observation, now)
+        action, self.due = call_policy(self._policy, observation, episode.steps)
         self.planning_time = time.perf_counter() - started
         self.action = check_giver_action(action, self._giver_space) if self._is_giver else check_receiver_action(action)
 
@@ -295,7 +290,6 @@ def run_episode(
             planning_time=robot.planning_time if robot in deciding else 0.0,
             receiver_decided=robot in deciding,
             giver_decided=person in deciding,
-            rendering_time=robot.rendering_time if robot in deciding else 0.0,
         )
         if callable(until) and until():
             break
@@ -350,7 +344,7 @@ def derive_receiver_seed(seed: int | None, observation: Observation) -> int:
 
 
 def derive_seed(seed: int | None, user: str, *observed: str | npt.NDArray[Any]) -> int:
-    """Derive a seed of 32 bits: a hash of the run's seed (None is 0), the name of its user, and observed data."""
+    """Return a seed of 32 bits: a hash of the run's seed (None is 0), text that names its use, and observed data."""
     digest = hashlib.sha256(f"handover_marl {seed or 0} {user}".encode())
     for part in observed:
         digest.update(part.encode() if isinstance(part, str) else part.tobytes())

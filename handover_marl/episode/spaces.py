@@ -1,7 +1,5 @@
 """Observation modes, action spaces of both agents, and checks of actions."""
 
-import functools
-
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
@@ -33,11 +31,6 @@ def parse_obs_mode(obs_mode: str) -> frozenset[str]:
     """
     if not isinstance(obs_mode, str):
         raise UnknownNameError("part of obs_mode", obs_mode, OBS_PARTS, _JOIN_PARTS)
-    return _parse_obs_mode(obs_mode)
-
-
-@functools.lru_cache(maxsize=64)
-def _parse_obs_mode(obs_mode: str) -> frozenset[str]:
     parts = frozenset(obs_mode.split("+"))
     unknown = sorted(parts - set(OBS_PARTS))
     if unknown:
@@ -104,9 +97,7 @@ def check_giver_action(action: object, space: spaces.Box) -> npt.NDArray[np.floa
     return np.clip(values, space.low, space.high)
 
 
-def check_vector(
-    name: str, values: object, size: int, meaning: str, n_finite: int | None = None
-) -> npt.NDArray[np.float32]:
+def check_vector(name: str, values: object, size: int, meaning: str) -> npt.NDArray[np.float32]:
     """Check numbers and return them as a float32 vector (size,).
 
     Args:
@@ -114,13 +105,12 @@ def check_vector(
         values: Array or sequence of real numbers.
         size: Number of values.
         meaning: Description of the values, for error messages.
-        n_finite: Number of values, from the first, that must be finite; default: all.
 
     Raises:
         ActionError: The values are not `size` numbers, or not finite.
     """
     vector = _as_float32(values)
-    if vector is not None and vector.shape == (size,) and np.isfinite(vector[:n_finite]).all():
+    if vector is not None and vector.shape == (size,) and np.isfinite(vector).all():
         return vector
     if vector is None:
         problem = "got None; return them from the policy" if values is None else f"got {type(values).__name__}"

@@ -3,8 +3,6 @@
 Euler angles are intrinsic XYZ; bodies are on chains of three prismatic and three revolute joints.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from handover_marl.config import TIME_STEP
@@ -24,31 +22,10 @@ _TOLERANCE = 1e-6  # m, rad
 _TINY = 1e-300
 
 
-class _MotionLimits(NamedTuple):
-    """Limits of the motion of m vectors, (m,) each.
-
-    The highest speed from which a vector can stop after a distance d, in steps of finite length, is
-    sqrt(braking_factor * d + squared_step_correction) - step_correction.
-
-    Attributes:
-        max_speed: Largest speed.
-        max_change: Largest change of the velocity in a step: largest acceleration a times length of a step dt.
-        braking_factor: Square of the speed per braking distance without steps: 2 a.
-        squared_step_correction: Square of `step_correction`: (a dt)^2 / 4.
-        step_correction: Correction of the speed, because the velocity changes once a step: a dt / 2.
-    """
-
-    max_speed: AnyArray
-    max_change: AnyArray
-    braking_factor: AnyArray
-    squared_step_correction: AnyArray
-    step_correction: AnyArray
-
-
 def track_set_points(
     values: AnyArray, velocities: AnyArray, set_points: AnyArray, steps: int, limits: AnyArray
 ) -> tuple[AnyArray, AnyArray]:
-    """Move wrist offsets towards set-points, with limited speed and acceleration.
+    """Move the wrist offsets of d givers towards set-points, with limited speed and acceleration.
 
     Args:
         values: Displacements (m) and rotation vectors (rad) before the first step, (d, 2, 3).
@@ -64,11 +41,22 @@ def track_set_points(
     goal, now, velocity = (array.reshape(-1, 3).T for array in (set_points, values, velocities))
     max_speed, acceleration = (xp.tile(limit, (len(values),)) for limit in limits)
     max_change = acceleration * TIME_STEP
-    motion_limits = _MotionLimits(max_speed, max_change, 2.0 * acceleration, max_change**2 / 4.0, max_change / 2.0)
+    # A vector can stop after a distance d from at most the speed sqrt(2 a d + c^2) - c. The correction c = a dt / 2 is
+    # due to the finite length dt of steps.
+    braking_factor, squared_correction, correction = 2.0 * acceleration, max_change**2 / 4.0, max_change / 2.0
     track: list[tuple[AnyArray, AnyArray]] = []
     # Reading tensors of a GPU to see whether all vectors are at rest would take more time than the steps.
     while len(track) < steps and (is_tensor(now) or (now != goal).any() or velocity.any()):
-        now, velocity = _track_step(now, velocity, goal, motion_limits)
+        left = goal - now
+        distance = _compute_column_lengths(left)
+        is_reached = (distance < _TOLERANCE) & (_compute_column_lengths(velocity) <= max_change)
+        speed = xp.minimum(max_speed, xp.sqrt(braking_factor * distance + squared_correction) - correction)
+        speed = xp.minimum(speed, distance / TIME_STEP)
+        change = left * speed / xp.maximum(distance, _TINY) - velocity
+        change = change * xp.minimum(1.0, max_change / xp.maximum(_compute_column_lengths(change), _TINY))
+        velocity = velocity + change
+        now = xp.where(is_reached, goal, now + velocity * TIME_STEP)
+        velocity = xp.where(is_reached, 0.0, velocity)
         track.append((now, velocity))
     track += [(goal, xp.zeros_like(goal))] * (steps - len(track))
     path, speeds = (xp.stack(part).reshape(steps, 3, *values.shape[:2]) for part in zip(*track, strict=True))
@@ -76,31 +64,15 @@ def track_set_points(
 
 
 def delay_steps(values: AnyArray, delays: AnyArray) -> AnyArray:
-    """Return values (d, k, 2, 3) of k steps, moved back by `delays` (d,) steps: zeros first, the last ones cut off."""
+    """Return values (d, k, 2, 3) of k steps, `delays` (d,) steps later: zeros come first, the last ones are cut off."""
     xp, (count, steps) = get_namespace(values), values.shape[:2]
     source = xp.arange(steps, device=values.device) - delays[:, None]
     delayed = values[xp.arange(count, device=values.device)[:, None], xp.clip(source, min=0)]
     return xp.where((source >= 0)[..., None, None], delayed, 0.0)
 
 
-def _track_step(now: AnyArray, velocity: AnyArray, goal: AnyArray, limits: _MotionLimits) -> tuple[AnyArray, AnyArray]:
-    """Advance m vectors by one step towards `goal`, and return values and velocities; all arrays are (3, m)."""
-    xp, left = get_namespace(now), goal - now
-    distance = _compute_column_lengths(left)
-    is_reached = (distance < _TOLERANCE) & (_compute_column_lengths(velocity) <= limits.max_change)
-    # Highest speed that still allows to stop at the goal, in steps of finite length.
-    braking = xp.sqrt(limits.braking_factor * distance + limits.squared_step_correction) - limits.step_correction
-    speed = xp.minimum(limits.max_speed, braking)
-    speed = xp.minimum(speed, distance / TIME_STEP)
-    change = left * speed / xp.maximum(distance, _TINY) - velocity
-    change = change * xp.minimum(1.0, limits.max_change / xp.maximum(_compute_column_lengths(change), _TINY))
-    velocity = velocity + change
-    now = now + velocity * TIME_STEP
-    return xp.where(is_reached, goal, now), xp.where(is_reached, 0.0, velocity)
-
-
 def move_with_wrists(bodies: AnyArray, offsets: AnyArray, wrists_in_base: AnyArray, previous: AnyArray) -> AnyArray:
-    """Move hands and held objects rigidly with the offsets of their wrists.
+    """Move the hands and held objects of d givers rigidly with the offsets of their wrists.
 
     Args:
         bodies: Joint positions (d, k, 2, 6) of each hand's base and of its object in k steps: xyz (m), Euler angles

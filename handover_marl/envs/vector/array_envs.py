@@ -8,14 +8,12 @@ import numpy as np
 from gymnasium.utils import seeding
 
 from handover_marl.datasets.dataset import Scene
-from handover_marl.envs.arguments import check_scene_option
-from handover_marl.envs.handover_env import draw_robot_seed, spawn_camera_seed
+from handover_marl.envs.handover_env import draw_seeds
 from handover_marl.envs.vector.array_episodes import ArrayEpisodes
 from handover_marl.envs.vector.batch import EnvResult
 from handover_marl.envs.wrappers.encode import MAX_EPISODES_WITHOUT_OUTPUTS, EncodedEnv, make_no_outputs_error
 from handover_marl.envs.wrappers.wrapper import ByAgent, WrappableEnv
 from handover_marl.geometry.arrays import Indices, to_numpy
-from handover_marl.policies.reference import PolicyLike
 from handover_marl.simulation.engines import BatchBackend
 
 _NONE = -1
@@ -29,14 +27,9 @@ class ArrayEnvs:
     for example while the robot waits. These periods of the next episode are simulated together with
     the current episode, which is faster than simulating them alone after a reset.
 
-    Indices of environments and of episodes are NumPy arrays; indices of episodes become arrays of `ArrayEpisodes`
-    where its methods are called.
-
     Args:
         template: Single environment of the configuration, with its wrappers; it is not simulated.
         count: Number n of environments.
-        partner: Policy of the agent that is not controlled from outside.
-        trust: Whether a policy file may run code.
         prefetch_episodes: Whether the next episodes may be simulated in advance, because `reset` gets no
             seed and no options after the end of an episode.
         load_scene: Function that loads a scene by its number.
@@ -50,8 +43,6 @@ class ArrayEnvs:
         self,
         template: WrappableEnv,
         count: int,
-        partner: PolicyLike | None,
-        trust: bool,
         prefetch_episodes: bool,
         load_scene: Callable[[int], Scene],
         backend: BatchBackend,
@@ -59,7 +50,7 @@ class ArrayEnvs:
         self._load_scene = load_scene
         self._base, self._agents = template.unwrapped, list(template.possible_agents)
         self._prefetches = prefetch_episodes and isinstance(template, EncodedEnv) and len(self._agents) == 1
-        self._episodes = ArrayEpisodes(template, count * (1 + self._prefetches), partner, trust, backend)
+        self._episodes = ArrayEpisodes(template, count * (1 + self._prefetches), backend)
         self.arrays = self._episodes.arrays
         self._rngs, self._partner_rngs = ([seeding.np_random(None)[0] for _ in range(count)] for _ in range(2))
         # Number of the current episode of each environment, and of its next one, which has started.
@@ -69,15 +60,7 @@ class ArrayEnvs:
         self._rngs_before: list[tuple[np.random.Generator, np.random.Generator] | None] = [None] * count
 
     def reset(self, rows: Indices, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
-        """Start episodes, and simulate them until an action scheme needs outputs.
-
-        Args:
-            rows: Indices (r,) of the environments.
-            seeds: Seed of each of these environments; None keeps the state of its random generators.
-            options: Options of `HandoverEnv.reset`, the same for all.
-
-        Returns:
-            Result of the r environments, with rewards of 0.
+        """Start episodes, and simulate them until an action scheme needs outputs; see `batch.Envs.reset`.
 
         Raises:
             OptionError: Many episodes in a row have ended before outputs were needed.
@@ -115,15 +98,7 @@ class ArrayEnvs:
         return self._episodes.check_actions(actions)
 
     def step(self, rows: Indices, actions: ByAgent) -> EnvResult:
-        """Let the agents act for one control period, or until an action scheme needs outputs again.
-
-        Args:
-            rows: Indices (r,) of environments with running episodes.
-            actions: Checked actions or outputs (r, ...) by agent.
-
-        Returns:
-            Result of the r environments.
-        """
+        """Let the agents act for one control period, or until an action scheme needs outputs; see `batch.Envs.step`."""
         episodes, current = self._episodes, self.arrays.asarray(self._current[rows])
         if self._prefetches:
             self._start_next(rows)
@@ -146,12 +121,9 @@ class ArrayEnvs:
 
     def _start(self, row: int, episode: int, options: Mapping[str, Any] | None) -> None:
         """Start the episode `episode` for the environment `row`, in the scene of `options` or a drawn one."""
-        base = self._base
-        scene_id = check_scene_option(options or {}, base.scene_ids, f"{base.config.setup} {base.config.split}")
-        if scene_id is None:
-            scene_id = int(self._rngs[row].choice(base.scene_ids))
-        robot_seed = draw_robot_seed(self._rngs[row], base.config.world_config)
-        camera_seed = spawn_camera_seed(self._rngs[row])
+        rng = self._rngs[row]
+        scene_id = self._base.choose_scene(options, rng)
+        robot_seed, camera_seed = draw_seeds(rng, self._base.config.world_config)
         partner_seed = int(self._partner_rngs[row].integers(2**32))
         self._episodes.start(episode, self._load_scene(scene_id), partner_seed, robot_seed, camera_seed)
 

@@ -1,7 +1,6 @@
 """Episodes with the policies and encodings of an environment, simulated together as arrays."""
 
 import functools
-from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -12,8 +11,8 @@ from handover_marl.envs.vector.batch import EnvResult
 from handover_marl.envs.vector.policy_batches import make_policy_batch
 from handover_marl.envs.vector.reward_sums import RewardSums
 from handover_marl.envs.wrappers.encode import EncodedEnv
-from handover_marl.envs.wrappers.freeze import DEFAULT_PARTNERS
-from handover_marl.envs.wrappers.wrapper import ByAgent, EpisodeReturns, WrappableEnv
+from handover_marl.envs.wrappers.freeze import FrozenPartnerEnv
+from handover_marl.envs.wrappers.wrapper import ByAgent, EpisodeReturns, WrappableEnv, list_wrappers
 from handover_marl.episode.episodes import Episodes
 from handover_marl.episode.loop import derive_giver_seed, derive_receiver_seed
 from handover_marl.episode.observations import Observation, select_receiver_observation
@@ -27,18 +26,7 @@ from handover_marl.learning.features import make_array_features
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
 from handover_marl.learning.schemes import make_array_scheme
 from handover_marl.policies.batch import PolicyBatch
-from handover_marl.policies.reference import PolicyLike, parse_policy
 from handover_marl.simulation.engines import BatchBackend
-
-Flags: TypeAlias = AnyArray
-
-
-def has_episode_returns(template: WrappableEnv) -> bool:
-    """Return whether the wrapper `EpisodeReturns` is among the wrappers of an environment."""
-    env: Any = template
-    while not isinstance(env, (EpisodeReturns, HandoverEnv)):
-        env = env.env
-    return isinstance(env, EpisodeReturns)
 
 
 class ArrayEpisodes:
@@ -51,17 +39,13 @@ class ArrayEpisodes:
     Args:
         template: Single environment of the configuration, with its wrappers; it is not simulated.
         count: Number of episodes.
-        partner: Policy of the agent that is not controlled from outside.
-        trust: Whether a policy file may run code.
         backend: Engine and device of the simulation.
 
     Attributes:
         arrays: Creator of the simulation's arrays.
     """
 
-    def __init__(
-        self, template: WrappableEnv, count: int, partner: PolicyLike | None, trust: bool, backend: BatchBackend
-    ) -> None:
+    def __init__(self, template: WrappableEnv, count: int, backend: BatchBackend) -> None:
         base: HandoverEnv = template.unwrapped
         self._base = base
         config = base.config
@@ -69,17 +53,19 @@ class ArrayEpisodes:
         self._episodes = Episodes(config.world_config, count, backend)
         arrays = self.arrays = self._episodes.arrays
         self._rewards = RewardSums(config, self._episodes, count)
-        self._has_returns = has_episode_returns(template)
+        wrappers = list_wrappers(template)
+        self._has_returns = any(isinstance(env, EpisodeReturns) for env in wrappers)
         self._cycles = arrays.zeros(count, "int64")
         self._terminated, self._truncated = arrays.zeros(count, "bool"), arrays.zeros(count, "bool")
         space = base.action_space(GIVER)
         self._giver_limits = arrays.asarray(space.low), arrays.asarray(space.high)
         self._partner: PolicyBatch | None = None
         self._partner_agent = GIVER if self._agents == [RECEIVER] else RECEIVER
-        if len(self._agents) == 1:
-            chosen = DEFAULT_PARTNERS[self._agents[0]] if partner is None else partner
-            reference = parse_policy(self._partner_agent, chosen, trust)
-            self._partner = make_policy_batch(reference, base.dataset, config.world_config, config.setup, count, arrays)
+        for env in wrappers:
+            if isinstance(env, FrozenPartnerEnv):
+                self._partner = make_policy_batch(
+                    env.reference, base.dataset, config.world_config, config.setup, count, arrays
+                )
         self._features: dict[str, ArrayFeatures] = {}
         self._schemes: dict[str, ArrayScheme] = {}
         if isinstance(template, EncodedEnv):
@@ -97,11 +83,6 @@ class ArrayEpisodes:
         for agent, (features, scheme) in template.choices.items():
             self._features[agent] = make_array_features(agent, features, context, selector, count, arrays)
             self._schemes[agent] = make_array_scheme(agent, scheme, context, selector, count, arrays)
-
-    @property
-    def can_wait(self) -> bool:
-        """Whether there may be control periods without outputs: only with one agent and an action scheme."""
-        return len(self._agents) == 1 and bool(self._schemes)
 
     def check_actions(self, actions: ByAgent) -> ByAgent:
         """Check the actions or outputs (n, ...) of all environments; return them as float32 arrays of the simulation.
@@ -156,13 +137,13 @@ class ArrayEpisodes:
         """Set rewards and reward terms of the episodes `rows` to 0; `advance` adds to them until the next call."""
         self._rewards.clear(rows)
 
-    def have_ended(self, rows: AnyIndices) -> Flags:
+    def have_ended(self, rows: AnyIndices) -> AnyArray:
         """Return for each of the episodes `rows` whether it has terminated or was truncated, (r,)."""
         return self._terminated[rows] | self._truncated[rows]
 
     def find_waiting(self, rows: AnyIndices) -> AnyIndices:
         """Return those of the indices `rows` whose episode runs and whose action scheme needs no outputs now."""
-        if not self.can_wait:
+        if len(self._agents) > 1 or not self._schemes:
             return rows[:0]
         (agent,) = self._agents
         running = rows[~self.have_ended(rows)]

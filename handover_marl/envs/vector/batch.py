@@ -53,7 +53,7 @@ class EnvResult(NamedTuple):
 
 
 def merge_results(count: int, row_results: Sequence[tuple[Indices, EnvResult]]) -> EnvResult:
-    """Join pairs of row indices and result to a result of `count` environments; later pairs replace earlier ones."""
+    """Join pairs of row indices and result to a result of `count` environments; later pairs overwrite equal rows."""
     if len(row_results) == 1 and len(row_results[0][0]) == count:
         return row_results[0][1]
     placed = [(move_to_device(rows, result.rewards), result) for rows, result in row_results]
@@ -143,9 +143,6 @@ def _first_array(values: Any) -> AnyArray:
     return values
 
 
-_BUSY = "another thread is using the vector environment; call reset() and step() in turn"
-
-
 class Envs(Protocol):
     """Interface of environments that are simulated together; `rows` are indices of environments, a NumPy array.
 
@@ -185,6 +182,7 @@ class EnvBatch:
 
     Args:
         envs: The environments.
+        action_spaces: Action space of each agent in one environment.
         num_envs: Number n of environments.
         autoreset: Gymnasium's mode of the reset after an episode's end.
 
@@ -195,29 +193,26 @@ class EnvBatch:
         is_running: Whether every environment has been reset, and no reset or step has failed since.
     """
 
-    def __init__(self, envs: Envs, num_envs: int, autoreset: AutoresetMode) -> None:
+    def __init__(
+        self, envs: Envs, action_spaces: Mapping[str, spaces.Space[Any]], num_envs: int, autoreset: AutoresetMode
+    ) -> None:
         self.num_envs, self.autoreset, self.is_running = num_envs, autoreset, False
         self._is_closed, self._process, self._lock = False, os.getpid(), threading.Lock()
-        self._envs, self.arrays = envs, envs.arrays
+        self._envs, self.arrays, self._action_spaces = envs, envs.arrays, action_spaces
         self._ended = np.zeros(num_envs, dtype=bool)
         self._latest: EnvResult | None = None
 
     def __reduce__(self) -> NoReturn:
         raise OptionError("a vector environment cannot be copied or pickled; make another one, in its process")
 
-    def reset(
-        self,
-        seed: int | Sequence[int | None] | None,
-        options: dict[str, Any] | None,
-        chosen: Flags | None = None,
-    ) -> tuple[ByAgent, ByAgent]:
+    def reset(self, seed: int | Sequence[int | None] | None, options: dict[str, Any] | None) -> tuple[ByAgent, ByAgent]:
         """Start an episode in every environment, or in some.
 
         Args:
             seed: Seed of the first environment, environment k gets `seed + k`; or a sequence with a
                 seed for each environment; None keeps the state of all random generators.
-            options: Options of `reset` that every environment gets.
-            chosen: (n,) mask of the environments to reset; default: all.
+            options: Options of `reset` that every environment gets, and `reset_mask`, a mask (n,) of the environments
+                to reset; default: all.
 
         Returns:
             Observations of all environments by agent; those that were not reset keep their last ones. And their infos
@@ -225,19 +220,22 @@ class EnvBatch:
 
         Raises:
             OptionError: The number of seeds is not the number of environments, a seed is not an integer from
-                0 on, or `options` is not a mapping.
+                0 on, `options` is not a mapping, or the mask has a wrong shape or chooses no environment.
             ResetNeededError: The environments are closed, or were made by another process.
             SimulationError: Another thread is using the environments.
         """
-        self._require_usable()
         if options is not None and not isinstance(options, Mapping):
             raise OptionError(f"options must be a dict, got {options!r}")
-        chosen = np.ones(self.num_envs, dtype=bool) if chosen is None else chosen
+        others = dict(options or {})
+        mask = others.pop("reset_mask", None)
+        chosen = np.ones(self.num_envs, dtype=bool) if mask is None else to_numpy(mask)
+        if chosen.shape != (self.num_envs,) or chosen.dtype != bool or not chosen.any():
+            raise OptionError(f"reset_mask must be {self.num_envs} truth values with at least one True, got {mask!r}")
         rows = np.flatnonzero(chosen)
         seeds = self._spread_seeds(seed)
-        with self._exclude_other_threads():
+        with self._use_envs():
             is_running, self.is_running = self.is_running or len(rows) == self.num_envs, False
-            row_results = [(rows, self._envs.reset(rows, [seeds[row] for row in rows.tolist()], options or None))]
+            row_results = [(rows, self._envs.reset(rows, [seeds[row] for row in rows.tolist()], others or None))]
             if self._latest is not None and len(rows) < self.num_envs:
                 row_results.insert(0, (np.arange(self.num_envs), self._latest))
             result = merge_results(self.num_envs, row_results)
@@ -246,34 +244,33 @@ class EnvBatch:
         self._latest = copy_containers(result)
         return result.observations, infos
 
-    def require_running(self) -> None:
-        """Check that every environment can be stepped.
-
-        Raises:
-            ResetNeededError: There was no reset, a reset or step has failed since, or an episode has
-                ended and autoreset is "disabled".
-            SimulationError: Another thread is using the environments.
-        """
-        self._require_usable()
-        is_disabled = self.autoreset is AutoresetMode.DISABLED
-        if not self.is_running or (is_disabled and self._ended.any()):
-            raise ResetNeededError("no episode is running; call reset() before step()")
-
     def step(self, actions: ByAgent) -> EnvResult:
         """Step every environment, and reset those whose episode has ended as `autoreset` specifies.
 
         Args:
-            actions: Actions (n, ...) by agent.
+            actions: Actions (n, ...) of each agent, arrays or tensors.
 
         Returns:
             Result of all environments; those that were reset have the observations of the reset. The infos have
             Gymnasium's form, with the last observations and infos of episodes that ended and were reset.
 
         Raises:
-            ActionError: An action is malformed; no environment has advanced.
+            ActionError: An agent's actions are missing or malformed; no environment has advanced.
+            ResetNeededError: There was no reset, a reset or step has failed since, or an episode has
+                ended and autoreset is "disabled"; or the environments are closed, or were made by another process.
+            SimulationError: Another thread is using the environments.
         """
-        checked = self._envs.check_actions(actions)
-        with self._exclude_other_threads():
+        with self._use_envs():
+            if not self.is_running or (self.autoreset is AutoresetMode.DISABLED and self._ended.any()):
+                raise ResetNeededError("no episode is running; call reset() before step()")
+            if not isinstance(actions, dict) or actions.keys() != self._action_spaces.keys():
+                raise ActionError(f"actions must be a dict of arrays for {' and '.join(self._action_spaces)}")
+            checked = self._envs.check_actions(
+                {
+                    agent: check_action_array(values, self._action_spaces[agent], self.num_envs, agent, self.arrays)
+                    for agent, values in actions.items()
+                }
+            )
             self.is_running = False
             waiting, running = np.flatnonzero(self._ended), np.flatnonzero(~self._ended)
             row_results = []
@@ -312,19 +309,16 @@ class EnvBatch:
         self.is_running, self._is_closed = False, True
         self._envs.close()
 
-    def _require_usable(self) -> None:
+    @contextlib.contextmanager
+    def _use_envs(self) -> Iterator[None]:
+        """Check that the environments can be used, and exclude other threads meanwhile."""
         if self._is_closed:
             raise ResetNeededError("the vector environment is closed; make another one")
         if os.getpid() != self._process:
             # Threads do not survive a fork, so the simulation would wait for them forever.
             raise ResetNeededError("the vector environment was made by another process; make it after the fork")
-        if self._lock.locked():
-            raise SimulationError(_BUSY)
-
-    @contextlib.contextmanager
-    def _exclude_other_threads(self) -> Iterator[None]:
         if not self._lock.acquire(blocking=False):
-            raise SimulationError(_BUSY)
+            raise SimulationError("another thread is using the vector environment; call reset() and step() in turn")
         try:
             with contextlib.nullcontext() if self.arrays == NUMPY_ARRAYS else disable_gradients():
                 yield

@@ -16,7 +16,7 @@ from handover_marl.envs.vector.batch import Envs
 from handover_marl.envs.vector.single_envs import SingleEnvs, WrapperFunction, apply_wrapper
 from handover_marl.envs.wrappers.encode import EncodedEnv, encode
 from handover_marl.envs.wrappers.freeze import FrozenPartnerEnv, freeze
-from handover_marl.envs.wrappers.wrapper import EpisodeReturns, WrappableEnv
+from handover_marl.envs.wrappers.wrapper import EpisodeReturns, WrappableEnv, list_wrappers
 from handover_marl.episode.spaces import FULL_POINTCLOUD, STATE, parse_obs_mode
 from handover_marl.errors import OptionError
 from handover_marl.learning.custom_encodings import FeaturesLike, SchemeLike, is_reference
@@ -30,16 +30,9 @@ _CACHED_SCENES = 512
 
 @dataclass(frozen=True, eq=False)
 class EnvFactory:
-    """Factory of environments; see `vector_env` for the meaning of the attributes.
+    """Factory of the environments that `vector_env` makes; most attributes are its arguments of the same names.
 
     Attributes:
-        config: Configuration of each environment.
-        agent: Agent that is controlled from outside; None for both agents.
-        partner: Policy of the other agent.
-        features: Features that replace observations.
-        schemes: Action schemes whose outputs replace actions.
-        wrappers: Functions or classes that wrap each environment, the innermost first.
-        trust: Whether a policy file may run code.
         prefetch_episodes: Whether the next episodes may be simulated in advance, because `reset` gets no
             options after the end of an episode.
         backend: Engine and device of environments that are simulated together.
@@ -77,16 +70,32 @@ class EnvFactory:
 
     @property
     def uses_arrays(self) -> bool:
-        """Whether the environments are simulated together as arrays."""
-        return _can_use_arrays(self.template, self.backend)
+        """Whether `ArrayEnvs` simulates the environments together.
+
+        It can in MuJoCo's physics with no wrappers but `EpisodeReturns`, `freeze` and `encode`, in this order; without
+        camera, or with "warp" and a camera that passes `check_device`.
+        """
+        if self.config.physics != MUJOCO or self.config.render_mode is not None:
+            return False
+        if self.config.obs_mode != STATE and self.backend.name != WARP:
+            return False
+        wrappers = list_wrappers(self.template)
+        if any(isinstance(env, FrozenPartnerEnv) and env.policy.obs_mode != STATE for env in wrappers):
+            return False
+        kinds = [type(env) for env in wrappers]
+        return kinds == [kind for kind in (EncodedEnv, FrozenPartnerEnv, EpisodeReturns) if kind in kinds]
 
     def check_device(self) -> None:
         """Check that the environments can be simulated on a device, with the backend "warp".
 
         Raises:
-            OptionError: They must be simulated with "threads".
+            OptionError: They must be simulated with "threads": for their physics or wrappers, or because the wrist
+                camera has data or noise that only "threads" can simulate, or the partner, a user-defined reward or a
+                user-defined action scheme observes it.
         """
-        _check_device_camera(self.template)
+        for is_wrong, need in self._list_camera_faults():
+            if is_wrong:
+                raise OptionError(f"wrist cameras with backend='warp' need {need}; use backend='threads'")
         if not self.uses_arrays:
             raise OptionError(
                 "with backend='warp', environments must have physics='mujoco', render_mode=None and no wrappers but "
@@ -97,9 +106,7 @@ class EnvFactory:
         """Make `count` environments, which one thread simulates."""
         if not self.uses_arrays:
             return SingleEnvs(self._make_single, count)
-        return ArrayEnvs(
-            self.template, count, self.partner, self.trust, self.prefetch_episodes, self._load_scene, self.backend
-        )
+        return ArrayEnvs(self.template, count, self.prefetch_episodes, self._load_scene, self.backend)
 
     @functools.cached_property
     def _load_scene(self) -> Callable[[int], Scene]:
@@ -113,68 +120,27 @@ class EnvFactory:
             env = freeze(env, self.agent, self.partner, trust=self.trust)
         return env if self.features is None and self.schemes is None else encode(env, self.features, self.schemes)
 
-
-def _can_use_arrays(template: WrappableEnv, backend: BatchBackend) -> bool:
-    """Return whether `ArrayEnvs` can simulate environments that have the configuration and wrappers of a single one.
-
-    They can in MuJoCo's physics with no wrappers but `EpisodeReturns`, `freeze` and `encode`, in this order; without
-    camera, or with "warp" and a camera that passes `_check_device_camera`.
-
-    Args:
-        template: Single environment of the configuration, with its wrappers.
-        backend: Engine and device of the simulation.
-    """
-    config = template.unwrapped.config
-    if config.physics != MUJOCO or config.render_mode is not None:
-        return False
-    if config.obs_mode != STATE and backend.name != WARP:
-        return False
-    env: Any = template
-    for wrapper in (EncodedEnv, FrozenPartnerEnv, EpisodeReturns):
-        if type(env) is wrapper:
-            if wrapper is FrozenPartnerEnv and env.policy.obs_mode != STATE:
-                return False
-            env = env.env
-    return type(env) is HandoverEnv
-
-
-def _check_device_camera(template: WrappableEnv) -> None:
-    """Check that the wrist camera can be simulated with the backend "warp", if there is one.
-
-    Args:
-        template: Single environment of the configuration, with its wrappers.
-
-    Raises:
-        OptionError: The camera has data or noise that only "threads" can simulate, or the partner, a user-defined
-            reward or a user-defined action scheme observes it.
-    """
-    config: EnvConfig = template.unwrapped.config
-    faults: list[tuple[bool, str]] = []
-    env: Any = template
-    while not isinstance(env, HandoverEnv):
-        if isinstance(env, FrozenPartnerEnv):
-            faults.append((env.policy.obs_mode != STATE, f"a partner without a camera, got {env.policy.name!r}"))
-        env = env.env
-    if config.obs_mode != STATE:
-        choices = template.choices if isinstance(template, EncodedEnv) else {}
-        scheme: Any = choices[RECEIVER][1] if RECEIVER in choices else ""
-        has_terms = isinstance(resolve_rewards(config.rewards), TermWeights)
-        faults += [
-            (
-                FULL_POINTCLOUD in parse_obs_mode(config.obs_mode),
-                f"an obs_mode without {FULL_POINTCLOUD}, got {config.obs_mode!r}",
-            ),
-            (config.camera_noise is not None, f"camera_noise=None, got {config.camera_noise!r}"),
-            (
-                resolve_renderer(config.renderer, config.physics) != RAYS,
-                f"the renderer 'rays', got {config.renderer!r}",
-            ),
-            (not has_terms, f"rewards that are weights of the library's terms, got {config.rewards!r}"),
-            (
-                not isinstance(scheme, str) or is_reference(scheme),
-                f"a built-in action scheme for the receiver, got {scheme!r}",
-            ),
+    def _list_camera_faults(self) -> list[tuple[bool, str]]:
+        """Return pairs: whether a requirement of wrist cameras on a device is violated, and the requirement as text."""
+        config = self.config
+        faults = [
+            (env.policy.obs_mode != STATE, f"a partner without a camera, got {env.policy.name!r}")
+            for env in list_wrappers(self.template)
+            if isinstance(env, FrozenPartnerEnv)
         ]
-    for is_wrong, need in faults:
-        if is_wrong:
-            raise OptionError(f"wrist cameras with backend='warp' need {need}; use backend='threads'")
+        if config.obs_mode == STATE:
+            return faults
+        choices = self.template.choices if isinstance(self.template, EncodedEnv) else {}
+        scheme: Any = choices[RECEIVER][1] if RECEIVER in choices else ""
+        renderer = resolve_renderer(config.renderer, config.physics)
+        has_full_clouds = FULL_POINTCLOUD in parse_obs_mode(config.obs_mode)
+        has_terms = isinstance(resolve_rewards(config.rewards), TermWeights)
+        is_own_scheme = not isinstance(scheme, str) or is_reference(scheme)
+        return [
+            *faults,
+            (has_full_clouds, f"an obs_mode without {FULL_POINTCLOUD}, got {config.obs_mode!r}"),
+            (config.camera_noise is not None, f"camera_noise=None, got {config.camera_noise!r}"),
+            (renderer != RAYS, f"the renderer 'rays', got {config.renderer!r}"),
+            (not has_terms, f"rewards that are weights of the library's terms, got {config.rewards!r}"),
+            (is_own_scheme, f"a built-in action scheme for the receiver, got {scheme!r}"),
+        ]

@@ -5,10 +5,8 @@ from typing import Any
 from gymnasium import spaces
 from gymnasium.vector.utils import batch_space
 
-from handover_marl.envs.handover_env import HandoverEnv
-from handover_marl.envs.vector.batch import EnvBatch, EnvResult, check_action_array
+from handover_marl.envs.vector.batch import EnvBatch, EnvResult
 from handover_marl.envs.wrappers.wrapper import ByAgent, WrappableEnv
-from handover_marl.errors import ActionError
 
 
 class ParallelVectorEnv:
@@ -33,6 +31,7 @@ class ParallelVectorEnv:
         num_envs: Number of environments.
         possible_agents: Names of the agents; both act in all environments at all times.
         autoreset_mode: Gymnasium's mode of the reset after an episode's end.
+        scene_ids: Numbers of the scenes that the environments draw from.
         metadata: Metadata of a single environment, and `autoreset_mode`.
     """
 
@@ -41,18 +40,13 @@ class ParallelVectorEnv:
         self.num_envs = batch.num_envs
         self.possible_agents: list[str] = list(template.possible_agents)
         self.autoreset_mode = batch.autoreset
+        self.scene_ids: tuple[int, ...] = template.unwrapped.scene_ids
         self.metadata: dict[str, Any] = {**template.unwrapped.metadata, "autoreset_mode": batch.autoreset}
 
     @property
     def agents(self) -> list[str]:
         """Names of the acting agents; empty before the first reset."""
         return self.possible_agents if self._batch.is_running else []
-
-    @property
-    def scene_ids(self) -> tuple[int, ...]:
-        """Numbers of the scenes that the environments draw from."""
-        base: HandoverEnv = self._template.unwrapped
-        return base.scene_ids
 
     def single_observation_space(self, agent: str) -> spaces.Space[Any]:
         """Return an agent's observation space in one environment."""
@@ -73,18 +67,18 @@ class ParallelVectorEnv:
     def reset(
         self, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[ByAgent, ByAgent]:
-        """Start an episode in every environment.
+        """Start an episode in every environment, or in some with `options={"reset_mask": (n,) bool}`.
 
         Args:
             seed: Seed of the first environment, environment k gets `seed + k`; or a list with a seed
                 for each environment.
-            options: Options that every environment gets: `{"scene_id": n}` chooses the scene.
+            options: Options that every environment gets: `{"scene_id": n}` chooses the scene; and `reset_mask`.
 
         Returns:
             Observations and infos by agent.
 
         Raises:
-            OptionError: The number of seeds is not the number of environments.
+            OptionError: The number of seeds or the shape of the mask is wrong, or no environment is chosen.
         """
         return self._batch.reset(seed, options)
 
@@ -101,14 +95,7 @@ class ParallelVectorEnv:
             ActionError: An agent's actions are missing or malformed.
             ResetNeededError: There was no reset, or an episode has ended and autoreset is "disabled".
         """
-        self._batch.require_running()
-        if not isinstance(actions, dict) or actions.keys() != set(self.possible_agents):
-            raise ActionError(f"actions must be a dict of arrays for {' and '.join(self.possible_agents)}")
-        arrays, checked = self._batch.arrays, {}
-        for agent, values in actions.items():
-            space = self.single_action_space(agent)
-            checked[agent] = check_action_array(values, space, self.num_envs, agent, arrays)
-        return self._batch.step(checked)
+        return self._batch.step(actions)
 
     def close(self) -> None:
         """Free the simulations of all environments."""

@@ -31,7 +31,7 @@ class PopulationBatch(PolicyBatch):
 
     Args:
         policy: Policy of a single episode, which draws the members.
-        batches: Batch of each member for all episodes.
+        batches: Policy batch of each member, for all episodes.
         count: Number of episodes.
         arrays: Creator of the episodes' arrays.
     """

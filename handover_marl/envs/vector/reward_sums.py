@@ -5,7 +5,6 @@ Terms of the library are computed for all episodes at once; each episode has a u
 
 import functools
 from collections.abc import Callable, Mapping
-from typing import TypeAlias
 
 import numpy as np
 
@@ -20,11 +19,6 @@ from handover_marl.episode.episodes import Episodes
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.geometry.arrays import AnyArray, AnyIndices, to_numpy
-
-#: Flags (r,).
-Flags: TypeAlias = AnyArray
-#: Actions (r, ...), float32, by agent.
-Actions: TypeAlias = Mapping[str, AnyArray]
 
 # Indices in the sums of rewards.
 _SINCE_CLEAR, _SINCE_START = 0, 1
@@ -96,12 +90,12 @@ class RewardSums:
         for sums in self._sums.values():
             sums[rows, _SINCE_CLEAR] = 0.0
 
-    def add(self, rows: AnyIndices, actions: Actions, terminated: Flags, truncated: Flags) -> None:
+    def add(self, rows: AnyIndices, actions: Mapping[str, AnyArray], terminated: AnyArray, truncated: AnyArray) -> None:
         """Add the rewards of a control step.
 
         Args:
             rows: Indices (r,) of the episodes, whose states after the step have been observed.
-            actions: Actions (r, ...) by agent.
+            actions: Actions (r, ...) by agent, float32.
             terminated: Whether each episode has terminated, (r,).
             truncated: Whether each episode was truncated, (r,).
 
@@ -121,7 +115,7 @@ class RewardSums:
         return StepData(status, read_state, functools.cache(make_transitions))
 
     def _record_transitions(
-        self, rows: AnyIndices, actions: Actions, terminated: Flags, truncated: Flags
+        self, rows: AnyIndices, actions: Mapping[str, AnyArray], terminated: AnyArray, truncated: AnyArray
     ) -> list[Transition]:
         """Return the transition of the last control step in each of the episodes `rows`; arguments as in `add`."""
         observations, infos = self._observe(rows), self._make_infos(rows)

@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
@@ -13,7 +12,7 @@ from gymnasium.vector.utils import batch_space
 from handover_marl.envs.arguments import check_positive_integer
 from handover_marl.envs.config import EnvConfig, make_env_config
 from handover_marl.envs.handover_env import HandoverEnv
-from handover_marl.envs.vector.batch import EnvBatch, check_action_array
+from handover_marl.envs.vector.batch import EnvBatch
 from handover_marl.envs.vector.env_factory import EnvFactory
 from handover_marl.envs.vector.env_groups import GroupedEnvs, ProcessEnvs
 from handover_marl.envs.vector.parallel_vector_env import ParallelVectorEnv
@@ -21,7 +20,6 @@ from handover_marl.envs.vector.single_envs import WrapperFunction
 from handover_marl.envs.wrappers.wrapper import WrappableEnv
 from handover_marl.errors import OptionError, check_name
 from handover_marl.execution.options import count_available_cores, forward_signature
-from handover_marl.geometry.arrays import to_numpy
 from handover_marl.learning.custom_encodings import FeaturesLike, SchemeLike
 from handover_marl.policies.reference import PolicyLike
 from handover_marl.simulation.engines import CPU, MUJOCO, THREADS, WARP, BatchBackend, check_backend
@@ -50,6 +48,7 @@ class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
 
     Attributes:
         autoreset_mode: Gymnasium's mode of the reset after an episode's end.
+        scene_ids: Numbers of the scenes that the environments draw from.
     """
 
     metadata: dict[str, Any] = {**HandoverEnv.metadata, "name": "handover_vector_v0"}
@@ -58,7 +57,8 @@ class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
     def __init__(self, batch: EnvBatch, template: WrappableEnv) -> None:
         agents: list[str] = list(template.possible_agents)
         (self._agent,) = agents
-        self._batch, self._template = batch, template
+        self._batch = batch
+        self.scene_ids: tuple[int, ...] = template.unwrapped.scene_ids
         self.num_envs, self.render_mode = batch.num_envs, template.render_mode
         self.autoreset_mode = batch.autoreset
         self.metadata = {**type(self).metadata, **template.metadata, "autoreset_mode": batch.autoreset}
@@ -66,12 +66,6 @@ class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
         self.single_action_space = template.action_space(self._agent)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
-
-    @property
-    def scene_ids(self) -> tuple[int, ...]:
-        """Numbers of the scenes that the environments draw from."""
-        base: HandoverEnv = self._template.unwrapped
-        return base.scene_ids
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
@@ -91,14 +85,7 @@ class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
             OptionError: The number of seeds or the shape of the mask is wrong, or no environment is chosen.
             ResetNeededError: The environments are closed, or were made by another process.
         """
-        if options is not None and not isinstance(options, Mapping):
-            raise OptionError(f"options must be a dict, got {options!r}")
-        reset_options = dict(options or {})
-        mask = reset_options.pop("reset_mask", None)
-        chosen = np.ones(self.num_envs, dtype=bool) if mask is None else to_numpy(mask)
-        if chosen.shape != (self.num_envs,) or chosen.dtype != bool or not chosen.any():
-            raise OptionError(f"reset_mask must be {self.num_envs} truth values with at least one True, got {mask!r}")
-        observations, infos = self._batch.reset(seed, reset_options, chosen)
+        observations, infos = self._batch.reset(seed, options)
         return observations[self._agent], infos[self._agent]
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
@@ -117,11 +104,8 @@ class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
             ActionError: The actions are not a numeric array (n, ...), or are a tensor with a gradient.
             ResetNeededError: There was no reset, or a reset or step has failed since.
         """
-        self._batch.require_running()
-        agent = self._agent
-        values = check_action_array(actions, self.single_action_space, self.num_envs, agent, self._batch.arrays)
         observations, rewards, terminated, truncated, infos = (
-            part[agent] for part in self._batch.step({agent: values})
+            part[self._agent] for part in self._batch.step({self._agent: actions})
         )
         return observations, rewards, terminated, truncated, infos
 
@@ -214,7 +198,8 @@ def vector_env(
         n_groups = (threads or count_available_cores()) if factory.uses_arrays and backend == THREADS else 1
     n_groups = min(n_groups, count)
     envs = make(count) if n_groups == 1 else GroupedEnvs(make, count, n_groups)
-    batch = EnvBatch(envs, count, AutoresetMode[autoreset.upper()])
+    action_spaces = {name: template.action_space(name) for name in template.possible_agents}
+    batch = EnvBatch(envs, action_spaces, count, AutoresetMode[autoreset.upper()])
     return ParallelVectorEnv(batch, template) if agent is None else HandoverVectorEnv(batch, template)
 
 

@@ -93,7 +93,7 @@ class EncodedEnv(ParallelWrapper):
         return self._features[agent].space
 
     def action_space(self, agent: str) -> spaces.Box:
-        """Return the space of the outputs that the agent's action scheme decodes."""
+        """Return the space of the agent's network outputs, a box from -1 to 1; its action scheme decodes them."""
         return self._output_spaces[agent]
 
     def convert_observation(self, agent: str, observation: Observation) -> Vector:
@@ -111,14 +111,9 @@ class EncodedEnv(ParallelWrapper):
         return self._observations[agent]
 
     def reset(self, seed: int | None = None, options: ByAgent | None = None) -> tuple[ByAgent, ByAgent]:
-        """Start an episode and simulate it until an action scheme needs outputs.
+        """Start an episode and simulate it until an action scheme needs outputs; return features and infos by agent.
 
-        Args:
-            seed: Seed of the random generator that draws scenes; None keeps its state.
-            options: `{"scene_id": n}` chooses the scene; default: draw one.
-
-        Returns:
-            Feature vectors and infos by agent.
+        Arguments are those of `HandoverEnv.reset`.
 
         Raises:
             OptionError: Many episodes in a row have ended before outputs were needed.

@@ -37,6 +37,7 @@ class FrozenPartnerEnv(ParallelWrapper):
     Attributes:
         live_agent: Agent that is controlled from outside, "receiver" or "giver".
         partner_agent: Agent that the partner policy acts for.
+        reference: Reference to the partner's policy, from which other instances of it can be made.
         policy: Policy of the partner.
     """
 
@@ -68,8 +69,8 @@ class FrozenPartnerEnv(ParallelWrapper):
                 f"partner must be a {self.partner_agent}, because the {agent} is controlled, got the {agent} "
                 f"{chosen!r}; pass agent={self.partner_agent!r} or another partner"
             )
-        reference = parse_policy(self.partner_agent, chosen, trust)
-        self.policy = reference.make(base.dataset, base.config.world_config, base.config.setup)
+        self.reference = parse_policy(self.partner_agent, chosen, trust)
+        self.policy = self.reference.make(base.dataset, base.config.world_config, base.config.setup)
         self._rng, _ = seeding.np_random(None)
 
     def reset(self, seed: int | None = None, options: ByAgent | None = None) -> tuple[ByAgent, ByAgent]:

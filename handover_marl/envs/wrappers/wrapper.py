@@ -90,6 +90,15 @@ def check_env(env: object) -> None:
         )
 
 
+def list_wrappers(env: WrappableEnv) -> list[Any]:
+    """Return the wrappers of an environment, the outermost first; [] for a `HandoverEnv`."""
+    wrappers = []
+    while isinstance(env, BaseParallelWrapper):
+        wrappers.append(env)
+        env = env.env
+    return wrappers
+
+
 class FlattenedEnv(ParallelWrapper):
     """Wrapper whose observations are vectors in the order of Gymnasium's `flatten`.
 
@@ -173,6 +182,9 @@ class SingleAgentEnv(gymnasium.Env[Any, Any], EzPickle):
     Args:
         env: Parallel environment with one agent, as `freeze` and `encode` return it.
 
+    Attributes:
+        scene_ids: Numbers of the scenes that `reset` draws from.
+
     Raises:
         OptionError: `env` has several agents.
     """
@@ -186,16 +198,11 @@ class SingleAgentEnv(gymnasium.Env[Any, Any], EzPickle):
                 f"a Gymnasium environment must have one agent, got {' and '.join(env.possible_agents)}; call "
                 "freeze() first"
             )
-        self.env = env
+        self.env, self.scene_ids = env, env.unwrapped.scene_ids
         (self.agent,) = env.possible_agents
         self.observation_space = env.observation_space(self.agent)
         self.action_space = env.action_space(self.agent)
         self.render_mode, self.metadata = env.render_mode, env.metadata
-
-    @property
-    def scene_ids(self) -> tuple[int, ...]:
-        """Numbers of the scenes that `reset` draws from."""
-        return self.env.unwrapped.scene_ids
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Start an episode; return observation and info. `options={"scene_id": n}` chooses the scene."""

@@ -54,7 +54,8 @@ class EpisodeTrace:
         release_step: Physics step after which the person released the object; None without a release.
         max_object_force: Largest sum of the normal forces between robot and object in one physics step (N).
         min_distance: Smallest distance between robot and human hand (m), 0 after contact, None without a hand.
-        max_hand_force: Largest sum of these forces between robot and human hand in one step (N); None without contact.
+        max_hand_force: Largest sum of the normal forces between robot and human hand in one physics step (N); None
+            without contact.
         hand_impulse: Sum over all physics steps of the normal forces between robot and human hand,
             times the duration of a step (N s); None without contact.
         contact_step: First physics step in which the robot touched the object; None without contact.

@@ -72,12 +72,14 @@ class CountingEnvs:
 
 
 def make_env(agents: Sequence[str], autoreset: str, arrays: ArrayFactory) -> HandoverVectorEnv | ParallelVectorEnv:
-    batch = EnvBatch(CountingEnvs(agents, arrays, COUNT), COUNT, AutoresetMode[autoreset.upper()])
+    envs, action_spaces = CountingEnvs(agents, arrays, COUNT), dict.fromkeys(agents, ACTIONS)
+    batch = EnvBatch(envs, action_spaces, COUNT, AutoresetMode[autoreset.upper()])
     template: Any = SimpleNamespace(
         possible_agents=list(agents),
         observation_space=lambda agent: spaces.Dict({"sum": ACTIONS, "time": ACTIONS}),
         action_space=lambda agent: ACTIONS,
         metadata={},
+        scene_ids=(),
         render_mode=None,
     )
     template.unwrapped = template
@@ -85,12 +87,11 @@ def make_env(agents: Sequence[str], autoreset: str, arrays: ArrayFactory) -> Han
 
 
 def rollout(agents: Sequence[str], autoreset: str, arrays: ArrayFactory) -> list[Any]:
-    """Return the results of resets, with a mask for one agent, and of steps."""
+    """Return the results of resets, with and without a mask, and of steps."""
     envs, rng = make_env(agents, autoreset, arrays), np.random.default_rng(0)
     mask = np.array([True, False, False, True, False])
-    resets = [{"options": {"reset_mask": arrays.asarray(mask)}}] if len(agents) == 1 else []
     found: list[Any] = [envs.reset(seed=1)]
-    for arguments in [*resets, {}]:
+    for arguments in ({"options": {"reset_mask": arrays.asarray(mask)}}, {}):
         for number in range(9):
             values = {agent: arrays.asarray(rng.normal(size=(COUNT, 2)), "float32") for agent in agents}
             found.append(envs.step(values if len(agents) == 2 else values[agents[0]]))
