@@ -28,7 +28,7 @@ _TRIMMED = 0.25  # share of the values that an interquartile mean leaves out at 
 
 
 def compute_proximities(returns: Array, references: Array) -> Array:
-    """Compute best-response proximities: returns (policies, partners) over those of the best policies (partners,).
+    """Compute best-response proximities: returns (policies, partners) divided by the best ones (partners,).
 
     They are above 1 where a policy exceeds the best one, and 1 for partners with whom no policy has a positive return.
     """
@@ -56,7 +56,7 @@ def compute_largest(returns: Array, references: Array) -> float:
 
 
 def compute_worst_proximity(returns: Array, references: Array) -> float:
-    """Average the proximities over policies; return the smallest, that with the worst partner."""
+    """Average `compute_proximities` over policies; return the smallest, that with the worst partner."""
     return compute_worst(compute_proximities(returns, references), references)
 
 
