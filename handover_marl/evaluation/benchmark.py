@@ -15,7 +15,7 @@ from handover_marl.config import OFFICIAL_CONFIG
 from handover_marl.errors import OptionError, ResultsError, check_name
 from handover_marl.evaluation.config import (
     REPLAY,
-    REPLAY_CHOICES,
+    REPLAYS_ALL,
     REPLAYS_NONE,
     EvaluationConfig,
     ExecutionConfig,
@@ -166,7 +166,7 @@ def _prepare(
     config: EvaluationConfig, execution: ExecutionConfig, recorded: str
 ) -> tuple[EvaluationConfig, ResultMetadata, ResultFolder | None, list[SceneTask]]:
     """Check an evaluation and prepare its folder; return its resolved configuration, identity, folder and scenes."""
-    check_name("replays", execution.replays, REPLAY_CHOICES)
+    check_name("replays", execution.replays, (REPLAYS_NONE, "failed", REPLAYS_ALL))
     for name, is_wanted in (("replays", execution.replays != REPLAYS_NONE), ("traces", execution.traces)):
         if is_wanted and execution.folder is None:
             raise OptionError(f"{name} need an output folder; pass out= (--out DIR)")

@@ -46,7 +46,7 @@ class Comparison(TabularResult):
 
     @functools.cached_property
     def pairs(self) -> list[EpisodePair]:
-        """Results (A, B) of each common scene, in the split's order."""
+        """Results of each common scene in `first` and in `second`, in the split's order."""
         by_index = {result.index: result for result in self.second.episodes}
         return [(result, by_index[result.index]) for result in self.first.episodes if result.index in by_index]
 

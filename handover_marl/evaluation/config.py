@@ -23,10 +23,9 @@ from handover_marl.simulation.engines import check_physics
 
 #: Name of the giver of official results, which replays the recording.
 REPLAY = "replay"
-#: Choices of the episodes that get a replay page.
+#: Choices of the episodes that get a replay page, beside "failed".
 REPLAYS_NONE: Final = "none"
 REPLAYS_ALL: Final = "all"
-REPLAY_CHOICES = (REPLAYS_NONE, "failed", REPLAYS_ALL)
 
 _SEED_LIMIT = 2**63  # Data sets store seeds with 64 bits.
 

@@ -59,12 +59,12 @@ class CrossPlay(TabularResult):
 
     @property
     def givers(self) -> tuple[str, ...]:
-        """Labels of the givers, the rows of the matrix."""
+        """Labels of the givers, the rows of the table of success rates."""
         return tuple(dict.fromkeys(giver for giver, _ in self.reports))
 
     @property
     def receivers(self) -> tuple[str, ...]:
-        """Labels of the receivers, the columns of the matrix."""
+        """Labels of the receivers, the columns of the table of success rates."""
         return tuple(dict.fromkeys(receiver for _, receiver in self.reports))
 
     def to_csv(self) -> str:

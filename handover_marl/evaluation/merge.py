@@ -35,7 +35,7 @@ _MAX_LISTED = 8  # missing scenes that an error lists
 def merge(
     folders: Sequence[str | os.PathLike[str]], out: str | os.PathLike[str]
 ) -> Report | CrossPlay | Agreement | Demonstrations:
-    """Merge the result folders of all shards (`shard="3/16"`) into one folder of the whole evaluation.
+    """Merge the folders of all shards, parts of the scenes such as "3/16", into one folder of the whole evaluation.
 
     Nothing is simulated, and nothing is written unless all shards are complete.
 

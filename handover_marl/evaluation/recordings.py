@@ -58,7 +58,7 @@ class TraceWriter(EpisodeWriter):
     """Writer of the time series of each episode, as a CSV file with the columns `COLUMNS`."""
 
     def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
-        """Create the recorder of contact forces, and the function that returns the CSV file of an episode."""
+        """Create the recorder of contact forces, and the function that returns the content of an episode's CSV file."""
         recorder = ForceRecorder()
         return recorder, lambda result, trace: format_trace(trace, recorder).encode()
 

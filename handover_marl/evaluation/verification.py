@@ -92,7 +92,7 @@ class Verification(TabularResult):
 
     @property
     def is_verified(self) -> bool:
-        """True if nothing in the folder differs."""
+        """Whether all values in the folder equal the simulated or computed ones."""
         return not self.differences
 
     @property

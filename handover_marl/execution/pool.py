@@ -76,8 +76,8 @@ class Pool:
         ends all tasks that still run.
 
         Args:
-            open_worker: Returns a context manager that yields the function; entered once per
-                worker process, before its first task.
+            open_worker: Function that returns a context manager, which yields the function to apply; entered once in
+                each worker process, before its first task.
             tasks: Picklable arguments of the function.
             describe: Short description of a task for messages, such as "simulating scene 209".
 
@@ -256,8 +256,8 @@ def run_ray_task(
         versions: Versions of the packages on the main process's machine, which this node must have.
         search_path: Import path of the main process; folders that exist here are searched last.
         job_id: Unique label of the job.
-        pickled_job: Job, see `run_pickled_task`.
-        pickled_task: Task, see `run_pickled_task`.
+        pickled_job: Pair (open_worker, describe) of `Pool.map_unordered`, pickled by `pickle_by_value`.
+        pickled_task: Task, pickled likewise.
     """
     installed = get_installed_versions()
     different = [f"{name} {installed[name]} there, {wanted} here" for name, wanted in versions.items()

@@ -51,7 +51,7 @@ def import_reference(kind: str, text: str, valid: Iterable[str] = ("module:name"
 
     Args:
         kind: Kind of what is imported, e.g. "features", for error messages.
-        text: Text of the form `module:name`, by the caller or checked by `check_stored_reference`.
+        text: Text of the form `module:name`, from the user or accepted by `check_stored_reference`.
         valid: Other texts that would be valid, for error messages.
 
     Raises:

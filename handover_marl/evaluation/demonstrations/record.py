@@ -191,7 +191,7 @@ class DemonstrationWriter(EpisodeWriter):
         write_atomically(self.path / DEMONSTRATIONS_METADATA, json.dumps(description) + "\n")
 
     def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
-        """Create the recorder of observations and actions, and the function that returns the file of an episode."""
+        """Create the recorder of observations and actions, and the function that returns an episode's file content."""
         recorder = DemonstrationRecorder(config, self._obs_mode, self._fps)
         return (
             recorder,

@@ -217,7 +217,7 @@ class Leaderboard(TabularResult):
 
     @property
     def titles(self) -> list[str]:
-        """Name and split of every report."""
+        """Titles of the reports in tables: name of the method and split of the scenes."""
         return [f"{name}, {report.condition.split}" for name, report in zip(self.names, self.reports, strict=True)]
 
     def write_heat_map(self, path: Path) -> None:
