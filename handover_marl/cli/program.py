@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import tyro
 
-from handover_marl.cli import data_folders, folders, runs, scenes
+from handover_marl.cli import folders, runs, scenes
 from handover_marl.policies.registry import list_available
 
 _DESCRIPTION = """Simulate and evaluate human-to-robot handovers.
@@ -29,8 +29,8 @@ _COMMANDS = (
     folders.run_verify,
     folders.run_compare,
     folders.run_merge,
-    data_folders.run_import,
-    data_folders.run_doctor,
+    folders.run_import,
+    folders.run_doctor,
 )
 _SCENE_COMMANDS = (scenes.add_object, scenes.add_motion, scenes.add_split, scenes.check, scenes.preview)
 

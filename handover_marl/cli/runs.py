@@ -17,7 +17,7 @@ from handover_marl.cli.options import (
     TableArguments,
     Trust,
 )
-from handover_marl.cli.streams import print_result, print_tables
+from handover_marl.cli.streams import print_tables
 from handover_marl.errors import OptionError
 from handover_marl.evaluation.config import ExecutionConfig
 
@@ -151,7 +151,7 @@ def run_demonstrate(
 
     config = execution.make_config()
     result = demonstrate(evaluation.make_config(), obs_mode=obs_mode, keep=keep, fps=fps, execution=config)
-    print_result(f"{result}\n\n{_describe_path(config, 'report.html')}")
+    print(f"{result}\n\n{_describe_path(config, 'report.html')}", flush=True)
 
 
 def run_render(
@@ -200,12 +200,12 @@ def run_render(
         if not camera.keys() <= size.keys():
             raise OptionError("--position, --target and --vertical-fov do not apply to --plan; leave them out")
         options["camera"] = replace(PLAN_CAMERA, **camera)
-        print_result(render_plan(scene, out, receiver=receiver or "omg", **options))
+        print(render_plan(scene, out, receiver=receiver or "omg", **options), flush=True)
         return
     # Without these options, each kind of file has its own default camera.
     options |= {"camera": CameraConfig(**camera) if camera else None}
     options |= {"progress": progress, "view": view, "key_frames": key_frames, "caption": caption}
-    print_result(render_scene(scene, out, receiver=receiver, **options))
+    print(render_scene(scene, out, receiver=receiver, **options), flush=True)
 
 
 def _describe_path(execution: ExecutionConfig, report: str) -> str:

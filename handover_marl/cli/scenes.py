@@ -5,7 +5,6 @@ from typing import Annotated, Literal
 import tyro
 
 from handover_marl.cli.options import Folder, Progress, Workers
-from handover_marl.cli.streams import print_result
 from handover_marl.errors import OptionError
 from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import check_path, require_modules
@@ -53,7 +52,7 @@ def add_object(
     item = CustomSceneFolder(folder).add_object(
         name, mesh, config, grasps=grasps, seed=seed, workers=workers, progress=progress
     )
-    print_result(str(item))
+    print(item, flush=True)
 
 
 def add_motion(
@@ -107,7 +106,7 @@ def add_motion(
     ]
     config = MotionConfig(chosen, length, time, quaternion, fingers, max_gap, *offsets)
     if preview is not None:
-        from handover_marl.visualization.figures import draw_recording
+        from handover_marl.visualization.pictures import draw_recording
 
         require_modules("the preview", "plot", "matplotlib")
         table = read_motion_table(motion, config)
@@ -123,7 +122,7 @@ def add_motion(
         hand=None if hand == "none" else _parse_hand(hand),
         others=tuple(others.split(",")) if others else (),
     )
-    print_result(str(scene))
+    print(scene, flush=True)
 
 
 def add_split(
@@ -148,7 +147,7 @@ def add_split(
     from handover_marl.assets.building.custom_scenes import CustomSceneFolder
 
     setup = CustomSceneFolder(folder).add_split(name, by, val=_parse_share(val), test=_parse_share(test), seed=seed)
-    print_result(f"{name}: " + ", ".join(f"{split} {len(numbers)} scenes" for split, numbers in setup.items()))
+    print(f"{name}: " + ", ".join(f"{split} {len(numbers)} scenes" for split, numbers in setup.items()), flush=True)
 
 
 def check(folder: Folder, /) -> None:
@@ -160,7 +159,7 @@ def check(folder: Folder, /) -> None:
     from handover_marl.assets.building.custom_scenes import CustomSceneFolder
 
     dataset = CustomSceneFolder(folder).check()
-    print_result(f"{dataset.content}\nNo faults. Use it: --dataset own:{dataset.folder}")
+    print(f"{dataset.content}\nNo faults. Use it: --dataset own:{dataset.folder}", flush=True)
 
 
 def preview(
@@ -175,7 +174,7 @@ def preview(
     """
     from handover_marl.evaluation.rendering import render_scene
 
-    print_result(render_scene(scene, out, dataset=f"own:{folder}", physics="fast", progress=progress))
+    print(render_scene(scene, out, dataset=f"own:{folder}", physics="fast", progress=progress), flush=True)
 
 
 def _parse_numbers(name: str, text: str) -> tuple[float, ...]:

@@ -12,40 +12,23 @@ if TYPE_CHECKING:
 
 
 def prepare_streams() -> None:
-    """Let stdout and stderr escape characters that they cannot encode; open them if they are closed."""
-    for number, name in ((1, "stdout"), (2, "stderr")):
-        stream = getattr(sys, name)
-        if stream is None:  # as in `>&-`; libraries flush the streams, also in worker processes
-            handle = os.open(os.devnull, os.O_WRONLY)
-            if handle != number:
-                os.dup2(handle, number)
-            os.set_inheritable(number, True)
-            setattr(sys, name, os.fdopen(number, "w", closefd=False))
-        elif isinstance(stream, io.TextIOWrapper):
+    """Let stdout and stderr escape characters that they cannot encode."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-
-
-def print_result(text: object) -> None:
-    """Print a result of a command on stdout, and empty the buffer.
-
-    Raises:
-        OSError: The output is closed, or its disk full.
-    """
-    print(text, flush=True)
 
 
 def print_tables(result: "TabularResult", tables: "TableArguments", note: str = "") -> None:
     """Print a result, and a note on files such as the path of a report; in CSV and LaTeX the note goes to stderr.
 
     Raises:
-        OSError: The output is closed, or its disk full.
         HandoverError: No table has the columns.
     """
     text = result.format(tables.style, tables.columns)
     if tables.style == "markdown":
-        print_result("\n\n".join(filter(None, (text, note))))
+        print("\n\n".join(filter(None, (text, note))), flush=True)
     else:
-        print_result(text)
+        print(text, flush=True)
         if note:
             print_message(note)
 

@@ -15,7 +15,7 @@ from handover_marl.config import OFFICIAL_CONFIG
 from handover_marl.errors import OptionError, ResultsError, check_name
 from handover_marl.evaluation.config import (
     REPLAY,
-    REPLAY_CHOICES,
+    REPLAYS_ALL,
     REPLAYS_NONE,
     EvaluationConfig,
     ExecutionConfig,
@@ -24,11 +24,10 @@ from handover_marl.evaluation.config import (
 )
 from handover_marl.evaluation.episode_runner import SceneTask, run_episodes
 from handover_marl.evaluation.metadata import ResultMetadata, format_config
-from handover_marl.evaluation.replays import ReplayWriter
+from handover_marl.evaluation.recordings import ReplayWriter, TraceWriter
 from handover_marl.evaluation.reports.report import Report, write_report
-from handover_marl.evaluation.results import EpisodeResult, EpisodeWriter, ResultFolder
-from handover_marl.evaluation.traces import TraceWriter
-from handover_marl.execution.options import check_pool, forward_signature
+from handover_marl.evaluation.results import TRACES, EpisodeResult, EpisodeWriter, ResultFolder
+from handover_marl.execution.options import forward_signature
 from handover_marl.execution.pool import open_pool
 from handover_marl.policies.reference import PolicyLike
 from handover_marl.visualization.replay_scene import require_replay_extra
@@ -120,15 +119,15 @@ def run_evaluations(
     Args:
         parts: For each evaluation the subfolder of the output folder, "" for the folder itself, and the configuration.
         execution: Workers, output folder, replays and time series.
-        recorded: Description of other recordings, such as demonstrations; part of the identity of a result folder.
+        recorded: Description of further recordings, such as demonstrations; stored in the folders' `config.yaml`.
         make_writer: Function from result folder and resolved configuration to the writer of these recordings.
 
     Raises:
         HandoverError: The same errors as `benchmark`.
     """
-    prepared = [_prepare(config, execution.for_subfolder(name), recorded) for name, config in parts]
     reports = []
     with contextlib.closing(open_pool(execution)) as pool:
+        prepared = [_prepare(config, execution.for_subfolder(name), recorded) for name, config in parts]
         for config, metadata, folder, tasks in prepared:
             writers: list[EpisodeWriter] = []
             if folder is not None:
@@ -137,7 +136,7 @@ def run_evaluations(
                 if execution.replays != REPLAYS_NONE:
                     writers.append(ReplayWriter(folder.path, execution.replays))
                 if execution.traces:
-                    writers.append(TraceWriter(folder.path))
+                    writers.append(TraceWriter(folder.path / TRACES))
                 # The result folder is the last: its files mark scenes as finished.
                 writers.append(folder)
             stored = {task: folder.read(task.index, task.fingerprint) if folder else None for task in tasks}
@@ -167,13 +166,12 @@ def _prepare(
     config: EvaluationConfig, execution: ExecutionConfig, recorded: str
 ) -> tuple[EvaluationConfig, ResultMetadata, ResultFolder | None, list[SceneTask]]:
     """Check an evaluation and prepare its folder; return its resolved configuration, identity, folder and scenes."""
-    check_name("replays", execution.replays, REPLAY_CHOICES)
+    check_name("replays", execution.replays, (REPLAYS_NONE, "failed", REPLAYS_ALL))
     for name, is_wanted in (("replays", execution.replays != REPLAYS_NONE), ("traces", execution.traces)):
         if is_wanted and execution.folder is None:
             raise OptionError(f"{name} need an output folder; pass out= (--out DIR)")
     if execution.replays != REPLAYS_NONE:
         require_replay_extra()
-    check_pool(execution)
     config, dataset = resolve_config(config, execution.trust)
     split_ids = dataset.list_scenes(config.setup, config.split)
     scenes, shard = tuple(config.scenes or ()), execution.shard or ""
@@ -237,7 +235,7 @@ def _show_progress(
 
 
 def _check_same_outcome(stored: EpisodeResult | None, current: EpisodeResult) -> None:
-    """Check that an episode that is simulated again, to record it, ends as its stored result; None skips the check."""
+    """Check that an episode, simulated again to record it, ended as in its `stored` result; None skips the check."""
     before, now = (
         "" if result is None else f"{result.status.label} after {result.steps} steps, release at {result.release_step}"
         for result in (stored, current)

@@ -46,7 +46,7 @@ class Comparison(TabularResult):
 
     @functools.cached_property
     def pairs(self) -> list[EpisodePair]:
-        """Results (A, B) of each common scene, in the split's order."""
+        """Results of each common scene in `first` and in `second`, in the split's order."""
         by_index = {result.index: result for result in self.second.episodes}
         return [(result, by_index[result.index]) for result in self.first.episodes if result.index in by_index]
 
@@ -73,7 +73,7 @@ class Comparison(TabularResult):
 
 
 class Agreement(Comparison):
-    """Outcomes of the same policies in exact physics, the first report, and in another physics, the second one."""
+    """Comparison of the same policies in exact physics (`first`) and in another physics (`second`)."""
 
     def write(self, folder: Path) -> None:
         """Write the comparison of two physics engines to `agreement.md`.
@@ -111,7 +111,7 @@ class Agreement(Comparison):
 
 
 def compare(first: str | os.PathLike[str], second: str | os.PathLike[str]) -> Comparison:
-    """Compare two official result folders, of this library or of HandoverSim, or episode files, scene by scene.
+    """Compare two evaluations scene by scene, given their result folders (also HandoverSim's) or episode files.
 
     Args:
         first: Result folder or episode file A.

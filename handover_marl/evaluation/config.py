@@ -23,12 +23,9 @@ from handover_marl.simulation.engines import check_physics
 
 #: Name of the giver of official results, which replays the recording.
 REPLAY = "replay"
-#: Choices of the episodes that get a replay page.
+#: Choices of the episodes that get a replay page, beside "failed".
 REPLAYS_NONE: Final = "none"
 REPLAYS_ALL: Final = "all"
-REPLAY_CHOICES = (REPLAYS_NONE, "failed", REPLAYS_ALL)
-#: Fields of `ExecutionConfig` that do not apply to a single scene.
-MULTI_SCENE_FIELDS = ("workers", "backend", "ray_address", "shard", "out", "fresh", "replays", "traces")
 
 _SEED_LIMIT = 2**63  # Data sets store seeds with 64 bits.
 
@@ -172,13 +169,13 @@ def resolve_config(config: EvaluationConfig, trust: bool = False) -> tuple[Evalu
 
 
 def set_dataset(config: EvaluationConfig, dataset: Dataset) -> EvaluationConfig:
-    """Return a copy of a configuration whose `dataset` and `data_dir` are the name and the folder of a dataset."""
+    """Return a copy of a configuration with the name and the folder of a given dataset."""
     folder = dataset.source_folder
     return replace(config, dataset=dataset.name, data_dir=config.data_dir if folder is None else str(folder))
 
 
 def require_policy_reference(policy: PolicyLike) -> PolicyReference:
-    """Return a policy of a resolved configuration, checked to be a `PolicyReference`.
+    """Return a policy of a configuration if it is a `PolicyReference`, as it is after `resolve_config`.
 
     Raises:
         TypeError: The configuration is not resolved.

@@ -59,12 +59,12 @@ class CrossPlay(TabularResult):
 
     @property
     def givers(self) -> tuple[str, ...]:
-        """Labels of the givers, the rows of the matrix."""
+        """Labels of the givers, the rows of the table of success rates."""
         return tuple(dict.fromkeys(giver for giver, _ in self.reports))
 
     @property
     def receivers(self) -> tuple[str, ...]:
-        """Labels of the receivers, the columns of the matrix."""
+        """Labels of the receivers, the columns of the table of success rates."""
         return tuple(dict.fromkeys(receiver for _, receiver in self.reports))
 
     def to_csv(self) -> str:
@@ -92,7 +92,7 @@ class CrossPlay(TabularResult):
         Raises:
             ResultsError: The folder cannot be written.
         """
-        from handover_marl.visualization.figures import draw_heat_map
+        from handover_marl.visualization.pictures import draw_heat_map
 
         write_atomically(folder / "crossplay.md", f"# Cross-play\n\n{self}\n")
         write_atomically(folder / CROSSPLAY_CSV, self.to_csv())
@@ -154,7 +154,7 @@ class CrossPlay(TabularResult):
         return ReportTable(["giver", "receiver", *(column.title for column in columns)], rows, n_keys=2)
 
     def _format_gains(self, pair: PolicyPair, baseline: PolicyPair) -> list[object]:
-        """Format number of episodes, and success and contact rates of a pair minus those of the baseline (points)."""
+        """Return cells: number of scenes, and success and contact rate of a pair minus those of `baseline` (points)."""
         sides = [self.reports[each].episodes for each in (pair, baseline)]
         differences = [
             estimate_paired_difference(*([bool(each.status & status) for each in side] for side in sides))

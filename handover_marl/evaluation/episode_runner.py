@@ -159,7 +159,7 @@ def _open_runner(
     writers: tuple[EpisodeWriter, ...],
     remote: tuple[DataLocation, list[PolicyBundle]] | None,
 ) -> Iterator[Callable[[SceneTask], FinishedEpisode]]:
-    """Yield the function that simulates a task; with `remote`, unpack the policies and find the data folder first."""
+    """Yield the function that simulates a task; with `remote`, use the data and the policies' files on this node."""
     with contextlib.nullcontext("") if remote is None else TemporaryDirectory() as folder:
         if remote is not None:
             location, bundles = remote

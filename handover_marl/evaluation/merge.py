@@ -35,7 +35,7 @@ _MAX_LISTED = 8  # missing scenes that an error lists
 def merge(
     folders: Sequence[str | os.PathLike[str]], out: str | os.PathLike[str]
 ) -> Report | CrossPlay | Agreement | Demonstrations:
-    """Merge the result folders of all shards (`shard="3/16"`) into one folder of the whole evaluation.
+    """Merge the folders of all shards, parts of the scenes such as "3/16", into one folder of the whole evaluation.
 
     Nothing is simulated, and nothing is written unless all shards are complete.
 
@@ -86,7 +86,7 @@ def _read_pairs(path: Path) -> list[tuple[str, str]]:
 
 
 def _merge_subfolders(paths: Sequence[Path], target: Path, names: Sequence[str]) -> list[Report]:
-    """Merge the subfolders `names` of the shards into those of `target`; return their reports. All are read first."""
+    """Merge the subfolders `names` of the shards, after reading all, into those of `target`; return their reports."""
     shards = {name: _read_shards([path / name for path in paths]) for name in names}
     return [_write_merged(*read, target / name) for name, read in shards.items()]
 
@@ -96,9 +96,6 @@ def _read_shards(paths: Sequence[Path]) -> tuple[ResultMetadata, dict[int, Path]
 
     Returns:
         Identity of the whole evaluation, and the result file of every scene by index in the split.
-
-    Raises:
-        ResultsError: The folders belong to different evaluations, two have results of a scene, or scenes are missing.
     """
     found: dict[int, Path] = {}
     scenes: set[int | None] = set()
@@ -133,7 +130,7 @@ def _read_shards(paths: Sequence[Path]) -> tuple[ResultMetadata, dict[int, Path]
 
 
 def _read_identity(path: Path) -> ResultMetadata:
-    """Return the identity of a shard's evaluation, with the shard's number left out: "16", or "16 of 209,214"."""
+    """Return a shard's identity without the shard's number: `shard` is "16", or "16 of 209,214" for chosen scenes."""
     metadata = read_result_metadata(path)
     if not metadata.shard:
         raise ResultsError(f"{path} is not a shard: it was evaluated without --shard")
@@ -141,27 +138,16 @@ def _read_identity(path: Path) -> ResultMetadata:
 
 
 def _write_merged(metadata: ResultMetadata, files: dict[int, Path], out: Path) -> Report:
-    """Write results, recordings and report of the whole evaluation into the folder `out`; return the report.
-
-    Raises:
-        ResultsError: `out` holds another evaluation or cannot be written.
-    """
+    """Write results, recordings and report of the whole evaluation into the folder `out`; return the report."""
     folders = list(dict.fromkeys(file.parent for file in files.values()))
     ResultFolder(out, metadata, format_merged_config(folders[0]))
     for folder in folders:
         for recording in find_recordings(folder):
             copy = out / recording.relative_to(folder)
             copy.parent.mkdir(exist_ok=True)
-            _copy_file(recording, copy)
+            write_atomically(copy, read_plain_file(recording))
     for index, file in files.items():
-        _copy_file(file, get_result_path(out, index))
+        write_atomically(get_result_path(out, index), read_plain_file(file))
     report = evaluate(out)
     write_report(out, report)
     return report
-
-
-def _copy_file(source: Path, target: Path) -> None:
-    try:
-        write_atomically(target, read_plain_file(source))
-    except (OSError, ValueError) as error:
-        raise ResultsError(f"cannot read {source} ({shorten_text(error)})") from error

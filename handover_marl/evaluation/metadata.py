@@ -160,7 +160,7 @@ def parse_world_label(label: str) -> WorldConfig:
 def format_config(metadata: ResultMetadata, config: WorldConfig = OFFICIAL_CONFIG) -> str:
     """Return the content of a result folder's `config.yaml`: the identity of the evaluation, and rules of the world."""
     library: dict[str, Any] = metadata.to_dict()
-    benchmark = {"SETUP": library.pop("setup"), "SPLIT": library.pop("split"), **_official_rules(config)}
+    benchmark = {"SETUP": library.pop("setup"), "SPLIT": library.pop("split"), **_describe_rules(config)}
     content = {"SIM": {"TIME_STEP": TIME_STEP}, "BENCHMARK": benchmark, _LIBRARY_SECTION: library}
     return yaml.safe_dump(content, sort_keys=False)
 
@@ -193,7 +193,7 @@ def read_result_metadata(path: Path) -> ResultMetadata:
         raise ResultsError(f"{config_path}: not a readable configuration ({shorten_text(error)})") from error
     check_metadata(metadata, config_path)
     if metadata.world == OFFICIAL_WORLD:
-        for key, value in (_official_rules(OFFICIAL_CONFIG) | {"TIME_STEP": TIME_STEP}).items():
+        for key, value in (_describe_rules(OFFICIAL_CONFIG) | {"TIME_STEP": TIME_STEP}).items():
             if stored.get(key, value) != value:
                 raise ResultsError(
                     f"{config_path}: {key} is {shorten_text(stored[key])}, but the official rules say {value}; these "
@@ -226,8 +226,8 @@ def check_metadata(metadata: ResultMetadata, path: Path) -> None:
         )
 
 
-def _official_rules(config: WorldConfig) -> dict[str, Any]:
-    """Return goal region (m), time to hold the object there (s) and time limit (s) under HandoverSim's keys."""
+def _describe_rules(config: WorldConfig) -> dict[str, Any]:
+    """Return rules by HandoverSim's keys: goal region (m), time to hold the object there (s) and time limit (s)."""
     protocol = config.protocol
     return {
         "GOAL_CENTER": list(protocol.goal_center),

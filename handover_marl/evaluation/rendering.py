@@ -13,45 +13,39 @@ from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import EpisodeCallback, derive_robot_seed, run_episode
 from handover_marl.errors import OptionError, check_name
-from handover_marl.evaluation.config import (
-    MULTI_SCENE_FIELDS,
-    REPLAY,
-    EvaluationConfig,
-    ExecutionConfig,
-    build_configs,
-    set_dataset,
-)
+from handover_marl.evaluation.config import REPLAY, EvaluationConfig, ExecutionConfig, build_configs, set_dataset
 from handover_marl.evaluation.episode_runner import EpisodeRunner
-from handover_marl.evaluation.replays import format_replay_facts
+from handover_marl.evaluation.recordings import format_replay_facts
 from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import check_boolean, forward_signature, require_modules
 from handover_marl.policies.reference import PolicyLike, parse_policy
 from handover_marl.receivers.omg import OmgReceiver
 from handover_marl.simulation.camera.renderers import check_rendering, resolve_renderer
-from handover_marl.visualization.figures import draw_plan_figure, draw_wrist_view
-from handover_marl.visualization.replay_recorder import ReplayRecorder
-from handover_marl.visualization.replay_scene import build_replay_page, require_replay_extra
-from handover_marl.visualization.video import (
+from handover_marl.visualization.pictures import (
     FRAME_PERIOD_MS,
     SUFFIXES,
     FrameRecorder,
     Picture,
     check_output_path,
     draw_caption,
+    draw_plan_figure,
+    draw_wrist_view,
     encode_grid,
     encode_video,
     format_caption,
 )
-
-#: Names of the views.
-VIEWS = ("outside", "wrist")
+from handover_marl.visualization.replay_recorder import ReplayRecorder
+from handover_marl.visualization.replay_scene import build_replay_page, require_replay_extra
 
 _GRID_COLUMNS = 3
 # Duration for which a scene without a receiver is shown after the recorded motion.
 _STILL_SCENE_DURATION_MS = 500
 #: Camera whose width and height give the default size of the image of a plan.
 PLAN_CAMERA = CameraConfig(width=1200, height=600)
-_SINGLE_SCENE = ("setup", "split", "scenes", *MULTI_SCENE_FIELDS)
+# Fields of both configurations that do not apply to a single scene.
+_SINGLE_SCENE = (
+    *("setup", "split", "scenes", "workers", "backend", "ray_address", "shard", "out", "fresh", "replays", "traces"),
+)
 
 
 def _open_scene(
@@ -59,8 +53,7 @@ def _open_scene(
 ) -> tuple[EpisodeRunner, Scene, ExecutionConfig]:
     """Return the runner of a scene with two policies, the scene, and the configuration of the execution.
 
-    Raises:
-        OptionError: An option configures many scenes.
+    An option that is for many scenes, such as `workers`, is an error.
     """
     for name in options:
         if name in _SINGLE_SCENE:
@@ -125,7 +118,7 @@ def render_scene(
     """
     path = check_output_path(out, SUFFIXES)
     suffix = path.suffix.lower()
-    check_name("view", view, VIEWS)
+    check_name("view", view, ("outside", "wrist"))
     if suffix != ".html":
         check_rendering(f"drawing {path.name}")
     else:
@@ -148,8 +141,8 @@ def render_scene(
         picture = draw_wrist_view(episode, chosen) if view == "wrist" else episode.render(chosen)
         return draw_caption(picture, format_caption(episode)) if caption else picture
 
-    def record_frames(steps: Sequence[int], with_end: bool) -> list[Picture]:
-        recorder = FrameRecorder(steps, draw, execution.progress, with_end)
+    def record_frames(steps: Sequence[int]) -> list[Picture]:
+        recorder = FrameRecorder(steps, draw, execution.progress)
         _play(runner, scene, until, recorder)
         return recorder.frames
 
@@ -162,10 +155,10 @@ def render_scene(
         # Simulated twice: the steps of the key frames are known only after the episode's end.
         end = _play(runner, scene) if until is None else until
         steps = np.linspace(0, end, key_frames).round().astype(int).tolist()
-        content = encode_grid(record_frames(steps, False), _GRID_COLUMNS)
+        content = encode_grid(record_frames(steps)[:key_frames], _GRID_COLUMNS)
     else:
         horizon = until or config.world_config.protocol.horizon_steps
-        content = encode_video(record_frames(range(0, horizon, FRAME_PERIOD_MS), True), suffix)
+        content = encode_video(record_frames(range(0, horizon, FRAME_PERIOD_MS)), suffix)
     runner.close()
     write_atomically(path, content)
     return path

@@ -239,7 +239,7 @@ class ResultFolder(EpisodeWriter):
         """
         path = get_result_path(self.path, index)
         try:
-            result = read_result(path) if path.is_file() else None
+            result = read_result(path)[0] if path.is_file() else None
         except ResultsError:
             return None
         if result is not None and result.fingerprint != fingerprint:
@@ -247,7 +247,7 @@ class ResultFolder(EpisodeWriter):
         return result
 
     def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
-        """Create the recorder of actions and planning times, and the function that returns the official result file."""
+        """Create the recorder of actions and planning times, and the function that returns a result file's content."""
         recorder = ActionRecorder()
         return recorder, lambda result, _: encode_result(result, recorder.actions, recorder.times)
 
@@ -284,7 +284,7 @@ def read_results(path: Path, allow_empty: bool = False) -> list[EpisodeResult]:
     files = find_numbered(path, ".npz").values()
     if not files and not allow_empty:
         raise ResultsError(f"{path} has no result files (000.npz, 001.npz, ...)")
-    results = [read_result(file) for file in files]
+    results = [read_result(file)[0] for file in files]
     _check_scenes_differ(results, path)
     return results
 
@@ -306,16 +306,7 @@ def _check_scalar(name: str, value: Any, kind: type) -> Any:
     return scalar
 
 
-def read_result(path: Path) -> EpisodeResult:
-    """Read the result of an episode from its official result file.
-
-    Raises:
-        ResultsError: The file is damaged, or its values are impossible.
-    """
-    return read_result_and_actions(path)[0]
-
-
-def read_result_and_actions(path: Path) -> tuple[EpisodeResult, npt.NDArray[Any]]:
+def read_result(path: Path) -> tuple[EpisodeResult, npt.NDArray[Any]]:
     """Return the result of an episode and the array `action` from its official result file.
 
     The array is not checked; it should be (T, 9) for T physics steps, and is empty if the file has none.

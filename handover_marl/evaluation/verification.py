@@ -37,7 +37,7 @@ from handover_marl.evaluation.results import (
     EpisodeResult,
     describe_episode,
     get_result_path,
-    read_result_and_actions,
+    read_result,
 )
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.options import PoolConfig, check_path
@@ -92,7 +92,7 @@ class Verification(TabularResult):
 
     @property
     def is_verified(self) -> bool:
-        """True if nothing in the folder differs."""
+        """Whether all values in the folder equal the simulated or computed ones."""
         return not self.differences
 
     @property
@@ -177,7 +177,6 @@ def verify(
             f"{path} was made with world {metadata.world!r}, not with {format_world_label(world)!r}; pass the "
             "evaluation's world_config"
         )
-    data_dir = None if data_dir is None else str(check_path("data_dir", data_dir))
     split = open_dataset(metadata.dataset, data_dir, metadata.robot).list_scenes(metadata.setup, metadata.split)
     wanted = choose_scenes(split, scenes, f"{metadata.setup} {metadata.split}")
     tasks = [SceneTask(index, scene) for index, scene in enumerate(split) if scene in wanted]
@@ -218,10 +217,10 @@ def verify(
 
 
 def check_episode(runner: EpisodeRunner, folder: Path, same_version: bool, task: SceneTask) -> list[Difference]:
-    """Simulate the actions that a result folder has of a scene; return the differences, see `compare_results`."""
+    """Simulate a scene with the actions stored in a result folder; return the values that differ from its result."""
     file = get_result_path(folder, task.index)
     try:
-        stored, actions = read_result_and_actions(file)
+        stored, actions = read_result(file)
         receiver = StoredActions(check_actions(file, actions, stored.steps))
     except ResultsError as error:
         return [Difference(task.scene_id, file.name, shorten_text(error), "a result")]

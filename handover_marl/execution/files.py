@@ -133,7 +133,7 @@ def shorten_text(value: object) -> str:
 
 @contextlib.contextmanager
 def _write_temporary(path: Path, content: bytes | str) -> Iterator[Path]:
-    """Yield a temporary file with a content in the folder of `path`, which is removed if it is not renamed."""
+    """Yield a temporary file with this content in the folder of `path`; remove it if the caller did not rename it."""
     try:
         handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
         try:

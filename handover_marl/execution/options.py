@@ -13,13 +13,12 @@ from typing import Any, Final, Literal, TypeVar, cast
 
 import loky
 
-from handover_marl.errors import OptionError, UnknownArgumentError, check_name
+from handover_marl.errors import OptionError, UnknownArgumentError
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 LOCAL: Final = "local"
 RAY: Final = "ray"
-BACKENDS = (LOCAL, RAY)
 #: Largest length of the name of a file or folder (bytes) in usual file systems.
 _LONGEST_NAME = 255
 
@@ -100,26 +99,6 @@ class PoolConfig:
     ray_address: str | None = None
 
 
-def check_pool(config: PoolConfig) -> None:
-    """Check that a worker pool with a configuration can be started, without starting it.
-
-    Raises:
-        UnknownNameError: The backend is unknown.
-        OptionError: The number of workers is invalid, processes cannot be started in a deleted working directory, Ray
-            is not installed, or an address is given without Ray.
-    """
-    check_name("backend", config.backend, BACKENDS)
-    if resolve_worker_count(config.workers) > 1 and find_working_folder() is None:
-        raise OptionError("workers must be 1 in a working directory that was deleted; change to another one (cd)")
-    if config.backend == RAY:
-        require_modules("backend 'ray'", "ray", "ray", advice="; or leave out `backend`")
-    elif config.ray_address is not None:
-        raise OptionError(
-            "ray_address must be used with backend='ray', got "
-            f"{config.ray_address!r} with backend {config.backend!r}; pass backend='ray'"
-        )
-
-
 def check_path(name: str, path: object) -> Path:
     """Check that an option is a path, and return it with `~` expanded.
 
@@ -151,15 +130,7 @@ def is_installed(module: str) -> bool:
     """Check whether a top-level module is installed; one in the working directory, of the same name, does not count."""
     spec = importlib.util.find_spec(module)
     # Folders without __init__.py have no origin.
-    return spec is not None and spec.origin is not None and find_working_folder() not in Path(spec.origin).parents[:2]
-
-
-def find_working_folder() -> Path | None:
-    """Return the working directory, or None if it was deleted."""
-    try:
-        return Path.cwd()
-    except FileNotFoundError:
-        return None
+    return spec is not None and spec.origin is not None and Path.cwd() not in Path(spec.origin).parents[:2]
 
 
 def is_pybullet_installed() -> bool:

@@ -1,31 +1,48 @@
-"""Worker pools, and functions that apply them to tasks.
+"""Pools of workers, on this machine or on a Ray cluster, and functions that apply them to tasks.
 
 Processes on this machine are started by the library loky. Unlike with multiprocessing, the caller's script is not
-imported again in the workers, so that it needs no `if __name__ == "__main__"`.
+imported again in the workers, so that it needs no `if __name__ == "__main__"`. Ray is optional: functions import it.
 """
 
+import functools
 import os
 import re
 import signal
+import socket
+import sys
 import threading
 import time
 import uuid
 import warnings
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, nullcontext
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from platform import node
 from typing import Any, TypeAlias
 
 from loky.process_executor import ProcessPoolExecutor
 
-from handover_marl.errors import WorkerError
-from handover_marl.execution.options import RAY, PoolConfig, check_pool, resolve_worker_count
-from handover_marl.execution.ray_pool import RayPool
-from handover_marl.execution.tasks import OpenWorker, Result, Task, pickle_by_value, run_pickled_task, unpickle_result
+from handover_marl.errors import OptionError, WorkerError, check_name
+from handover_marl.execution.options import LOCAL, RAY, PoolConfig, require_modules, resolve_worker_count
+from handover_marl.execution.tasks import (
+    OpenWorker,
+    Result,
+    Task,
+    pickle_by_value,
+    pickle_result,
+    run_pickled_task,
+    unpickle_result,
+)
+from handover_marl.version import __version__
 
 _EXIT_CODES = re.compile(r"\{(.*)\}")
 _PARENT_CHECK_S = 0.2
+# Packages that results depend on bit for bit.
+_PACKAGES = ("numpy", "scipy", "pybullet", "pybullet-arm64", "mujoco")
+_CONNECTION_TIMEOUT_S = 20.0
 
 
 class Pool:
@@ -35,10 +52,9 @@ class Pool:
     one at a time, so that the task that kills its worker is identified.
 
     Args:
-        n_workers: Number of processes.
+        n_workers: Number of processes, which is the number of tasks that run at a time.
 
     Attributes:
-        n_workers: Number of tasks that run at a time.
         location: Place where the workers run, e.g. "on a Ray cluster"; empty for this machine.
         is_remote: Whether workers may run on machines that share no files with the main machine.
     """
@@ -60,8 +76,8 @@ class Pool:
         ends all tasks that still run.
 
         Args:
-            open_worker: Returns a context manager that yields the function; entered once per
-                worker process, before its first task.
+            open_worker: Function that returns a context manager, which yields the function to apply; entered once in
+                each worker process, before its first task.
             tasks: Picklable arguments of the function.
             describe: Short description of a task for messages, such as "simulating scene 209".
 
@@ -119,7 +135,6 @@ class Pool:
             self.close()
             self._executor, self._n_processes = ProcessPoolExecutor(n_workers, initializer=_start_worker), n_workers
         waiting = list(reversed(tasks))
-        is_finished = False
         try:
             while waiting or running:
                 while waiting and len(running) < n_workers:
@@ -128,10 +143,9 @@ class Pool:
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
                     answer = future.result()
                     yield running.pop(future), unpickle_result(answer)
-            is_finished = True
-        finally:
-            if not is_finished:
-                self.close()
+        except BaseException:
+            self.close()
+            raise
 
 
 def _start_worker() -> None:
@@ -150,6 +164,139 @@ def _exit_with_parent(parent: int) -> None:
     os._exit(1)
 
 
+class RayPool:
+    """Pool of workers on a Ray cluster, whose nodes may join and leave; has the methods of `Pool`.
+
+    Each task runs on one core, and once more if its process or node dies. A connection of this process to Ray is
+    used if it exists; a new one lasts as long as the process.
+
+    Args:
+        config: Number of tasks that run at a time, and the cluster's address.
+    """
+
+    location = "on a Ray cluster"
+    is_remote = True
+
+    def __init__(self, config: PoolConfig) -> None:
+        self._config = config
+
+    @functools.cached_property
+    def n_workers(self) -> int:
+        """Number of tasks that run at a time; the first query connects this process to the cluster.
+
+        Raises:
+            WorkerError: The cluster cannot be reached.
+        """
+        import ray
+
+        config = self._config
+        if not ray.is_initialized():
+            address = config.ray_address or os.environ.get("RAY_ADDRESS")
+            try:
+                _check_server(address or "")
+                ray.init(config.ray_address, include_dashboard=False, logging_level="error")
+            except Exception as error:  # Ray raises exceptions of several packages
+                raise WorkerError(
+                    f"Ray cannot be reached at {address or 'the default address'} "
+                    f"({type(error).__name__}: {error}); start it there (ray start --head), or "
+                    "leave out ray_address for a Ray on this machine"
+                ) from error
+        cores = int(ray.cluster_resources().get("CPU", 0))
+        return max(1, cores) if config.workers is None else resolve_worker_count(config.workers)
+
+    def map_unordered(
+        self, open_worker: OpenWorker[Task, Result], tasks: Sequence[Task], describe: Callable[[Task], str] = str
+    ) -> Generator[tuple[int, Result], None, None]:
+        """Apply a function to tasks on the cluster, see `Pool.map_unordered`."""
+        n_workers = self.n_workers
+        import ray
+        from ray.exceptions import NodeDiedError, ObjectLostError, RayError, WorkerCrashedError
+
+        # Kept in the cluster's object store, so that it is sent to each node once.
+        job = uuid.uuid4().hex, ray.put(pickle_by_value((open_worker, describe)))
+        here = get_installed_versions(), list(map(str, sys.path))
+        submit = ray.remote(num_cpus=1, max_retries=1, scheduling_strategy="SPREAD")(run_ray_task).remote
+        waiting = list(reversed(range(len(tasks))))
+        running: dict[Any, int] = {}
+        try:
+            while waiting or running:
+                while waiting and len(running) < n_workers:
+                    index = waiting.pop()
+                    running[submit(*here, *job, pickle_by_value(tasks[index]))] = index
+                ((reference, *_), _) = ray.wait(list(running))
+                try:
+                    answer = ray.get(reference)
+                except (NodeDiedError, ObjectLostError, WorkerCrashedError) as error:
+                    raise WorkerError(
+                        f"a worker process died twice while {describe(tasks[running[reference]])} "
+                        f"({type(error).__name__}); finished results are kept. Use fewer workers if memory is short, "
+                        "or workers=1 without Ray to see the failure in this process."
+                    ) from error
+                except RayError as error:
+                    last_line = str(error).strip().splitlines()[-1]
+                    raise WorkerError(
+                        f"Ray could not run a task ({last_line}); every node needs handover_marl {__version__} "
+                        "with the same extras as this machine"
+                    ) from error
+                yield running.pop(reference), unpickle_result(answer)
+        finally:
+            for reference in running:
+                ray.cancel(reference, force=True)
+
+    def close(self) -> None:
+        """Do nothing: the processes are Ray's."""
+
+
+def run_ray_task(
+    versions: Mapping[str, str], search_path: Sequence[str], job_id: str, pickled_job: bytes, pickled_task: bytes
+) -> bytes:
+    """Run a task of a job in a worker process of Ray and return its pickled result.
+
+    Args:
+        versions: Versions of the packages on the main process's machine, which this node must have.
+        search_path: Import path of the main process; folders that exist here are searched last.
+        job_id: Unique label of the job.
+        pickled_job: Pair (open_worker, describe) of `Pool.map_unordered`, pickled by `pickle_by_value`.
+        pickled_task: Task, pickled likewise.
+    """
+    installed = get_installed_versions()
+    different = [f"{name} {installed[name]} there, {wanted} here" for name, wanted in versions.items()
+                 if installed[name] != wanted]  # fmt: skip
+    if different:
+        return pickle_result(
+            WorkerError(
+                f"node {node()} has other versions ({'; '.join(different)}), so that its results might "
+                "differ; install the same versions on every node"
+            )
+        )
+    sys.path += [path for path in search_path if path not in sys.path and Path(path).exists()]
+    return run_pickled_task(job_id, pickled_job, pickled_task)
+
+
+def get_installed_versions() -> dict[str, str]:
+    """Return the versions of this library and of packages that results depend on, by name; "none" if missing."""
+    found = {"handover_marl": __version__}
+    for name in _PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "none"
+    return found
+
+
+def _check_server(address: str) -> None:
+    """Check that something listens at "host:port" or "ray://host:port"; Ray itself would try for a quarter of an hour.
+
+    Other addresses such as "auto" are left to Ray.
+
+    Raises:
+        OSError: Nothing listens.
+    """
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    if port.isdecimal():
+        socket.create_connection((host.strip("[]"), int(port)), _CONNECTION_TIMEOUT_S).close()
+
+
 AnyPool: TypeAlias = Pool | RayPool
 
 
@@ -160,10 +307,19 @@ def open_pool(config: PoolConfig) -> AnyPool:
 
     Raises:
         UnknownNameError: The backend is unknown.
-        OptionError: The configuration is invalid.
+        OptionError: The number of workers is invalid, Ray is not installed, or an address is given without Ray.
     """
-    check_pool(config)
-    return RayPool(config) if config.backend == RAY else Pool(resolve_worker_count(config.workers))
+    check_name("backend", config.backend, (LOCAL, RAY))
+    n_workers = resolve_worker_count(config.workers)
+    if config.backend == RAY:
+        require_modules("backend 'ray'", "ray", "ray", advice="; or leave out `backend`")
+        return RayPool(config)
+    if config.ray_address is not None:
+        raise OptionError(
+            "ray_address must be used with backend='ray', got "
+            f"{config.ray_address!r} with backend {config.backend!r}; pass backend='ray'"
+        )
+    return Pool(n_workers)
 
 
 def map_with_progress(

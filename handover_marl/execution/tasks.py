@@ -72,7 +72,7 @@ def run_pickled_task(job_id: str, pickled_job: bytes, pickled_task: bytes) -> by
 
 
 def pickle_result(result: object) -> bytes:
-    """Return the pickled result of a task, or the error that ended it."""
+    """Pickle a task's result, or the error that ended it; if that fails, pickle a `WorkerError` that says why."""
     try:
         return pickle_by_value(result)
     except Exception as error:  # pickling a user's object may raise anything
@@ -81,7 +81,7 @@ def pickle_result(result: object) -> bytes:
 
 
 def unpickle_result(pickled: bytes) -> Any:
-    """Return the result of a task from `run_pickled_task`.
+    """Return the result of a task, given what `run_pickled_task` returned.
 
     Raises:
         HandoverError: The task failed.

@@ -67,12 +67,12 @@ class SequentialPolicyBatch(PolicyBatch):
         self._due = np.zeros(len(policies), dtype=np.int64)
 
     def reset(self, row: int, seed: int | None, object_names: Sequence[str]) -> None:
-        """Start an episode; see `PolicyBatch.reset`."""
+        """Start the episode with index `row`, given a seed of the policy and the YCB names of the objects."""
         start_policy(self._policies[row], seed, object_names)
         self._due[row] = 0
 
     def act(self, rows: AnyIndices, observe: ObserveFunction, steps: AnyIntegers) -> tuple[Actions, AnyIntegers]:
-        """Return actions (r, ...) and physics steps (r,) of the next decisions; see `PolicyBatch.act`."""
+        """Return actions (r, ...) in the episodes `rows`, and the physics steps (r,) of their next decisions."""
         numbers = np.flatnonzero(steps >= self._due[rows])
         found = observe(rows[numbers]) if len(numbers) else {}
         for place, number in enumerate(numbers.tolist()):
@@ -87,18 +87,18 @@ class HostPolicyBatch(PolicyBatch):
 
     Args:
         batch: Batch of policies that takes and returns NumPy arrays.
-        arrays: Creator of the episodes' arrays.
+        arrays: Creator of the tensors into which actions are converted, on the device of the episodes.
     """
 
     def __init__(self, batch: PolicyBatch, arrays: ArrayFactory) -> None:
         self._batch, self._arrays = batch, arrays
 
     def reset(self, row: int, seed: int | None, object_names: Sequence[str]) -> None:
-        """Start an episode; see `PolicyBatch.reset`."""
+        """Start the episode with index `row`, given a seed of the policy and the YCB names of the objects."""
         self._batch.reset(row, seed, object_names)
 
     def act(self, rows: AnyIndices, observe: ObserveFunction, steps: AnyIntegers) -> tuple[Actions, AnyIntegers]:
-        """Return actions (r, ...) and physics steps (r,) of the next decisions; see `PolicyBatch.act`."""
+        """Return actions (r, ...) in the episodes `rows`, and the physics steps (r,) of their next decisions."""
 
         def observe_on_host(some: AnyIndices) -> Observation:
             return {key: to_numpy(values) for key, values in observe(self._arrays.asarray(some)).items()}
@@ -142,13 +142,13 @@ class ArrayPolicyBatch(PolicyBatch):
         self._due = arrays.zeros(count, "int64")
 
     def reset(self, row: int, seed: int | None, object_names: Sequence[str]) -> None:
-        """Start an episode; see `PolicyBatch.reset`."""
+        """Start the episode with index `row`, given a seed of the policy and the YCB names of the objects."""
         self._due[row] = 0
         self._policy.prepare(object_names)
         self._policy.start(row, seed)
 
     def act(self, rows: AnyIndices, observe: ObserveFunction, steps: AnyIntegers) -> tuple[Actions, AnyIntegers]:
-        """Return actions (r, ...) and physics steps (r,) of the next decisions; see `PolicyBatch.act`."""
+        """Return actions (r, ...) in the episodes `rows`, and the physics steps (r,) of their next decisions."""
         numbers = self._arrays.xp.nonzero(steps >= self._due[rows])[0]
         if len(numbers):
             due = rows[numbers]

@@ -132,7 +132,7 @@ def _is_installed(name: str) -> bool:
 
 
 def _describe(value: Any, seen: dict[int, object], arrays_only: bool, depth: int = 0) -> Iterator[bytes]:
-    """Yield the bytes to hash of a value at a nesting depth and of what it refers to; `seen` objects are left out."""
+    """Yield the bytes to hash of a value and of all that it refers to, but for objects in `seen`, which it extends."""
     if isinstance(value, _PLAIN) and not arrays_only:
         yield repr(value).encode()
     if isinstance(value, _PLAIN) or id(value) in seen or depth > _MAX_DEPTH:

@@ -31,9 +31,8 @@ from handover_marl.policies.registry import check_stored_reference, list_availab
 POPULATION_FOLDER = Path(handover_marl.assets.__file__).parent / "populations"
 #: Shipped population of givers and receivers.
 DEFAULT_POPULATION = "strangers-v1"
+#: Splits of a population by family, and all families.
 TRAIN, TEST, ALL = "train", "test", "all"
-#: Splits of a population by family.
-PARTNER_SPLITS = (TRAIN, TEST, ALL)
 
 _SUFFIX, _REFERENCES_SUFFIX = ".json", ".references.json"
 _FOLDER = "{folder}"
@@ -106,7 +105,7 @@ class Population:
             UnknownNameError: There is no such split.
             OptionError: The population has no such partners.
         """
-        check_name("partners", split, PARTNER_SPLITS)
+        check_name("partners", split, (TRAIN, TEST, ALL))
         candidates = self.givers if agent == "giver" else self.receivers
         chosen = tuple(partner for partner in candidates if split in (ALL, partner.split))
         if not chosen:

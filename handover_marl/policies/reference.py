@@ -115,7 +115,7 @@ class PolicyReference:
         return self.make_from_context(make_policy_context(dataset or open_dataset(), config, setup))
 
     def make_from_context(self, context: PolicyContext | None) -> Policy:
-        """Construct the policy that this reference names with a context or None; errors as in `make`."""
+        """Construct the policy with a context, or None for a policy that needs none; errors as in `make`."""
         found = self._load()
         if isinstance(found, Policy):
             return found

@@ -6,7 +6,7 @@ from a file needs `check_stored_reference` first, wherever a file is read.
 
 import importlib
 from collections.abc import Container, Iterable
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import entry_points
 from typing import Any
 
 from handover_marl.errors import OptionError, UnknownNameError, UnsafeFileError, check_name
@@ -34,7 +34,8 @@ def load_registered(agent: str, name: str) -> type | None:
     group = _get_group(agent)
     points = {point.value: point for point in entry_points(group=group, name=name)} if name else {}
     if len(points) > 1:
-        claims = " and ".join(f"{_get_package(point)} ({value})" for value, point in points.items())
+        packages = [point.dist.name if point.dist is not None else "an unknown package" for point in points.values()]
+        claims = " and ".join(f"{package} ({value})" for package, value in zip(packages, points, strict=True))
         raise OptionError(f"{agent} {name!r} is claimed by {claims}; uninstall one, or pass the class as module:Class")
     for value, point in points.items():
         try:
@@ -50,7 +51,7 @@ def import_reference(kind: str, text: str, valid: Iterable[str] = ("module:name"
 
     Args:
         kind: Kind of what is imported, e.g. "features", for error messages.
-        text: Text of the form `module:name`, by the caller or checked by `check_stored_reference`.
+        text: Text of the form `module:name`, from the user or accepted by `check_stored_reference`.
         valid: Other texts that would be valid, for error messages.
 
     Raises:
@@ -91,7 +92,3 @@ def check_stored_reference(
 def _get_group(agent: str) -> str:
     check_name("agent", agent, GROUPS)
     return GROUPS[agent]
-
-
-def _get_package(point: EntryPoint) -> str:
-    return point.dist.name if point.dist is not None else "an unknown package"

@@ -110,7 +110,6 @@ class ReplayRecorder(EpisodeCallback):
         self.status, self.release, self.release_step = episode.status, episode.release_reason, episode.release_step
 
     def _record_frame(self, episode: Episode) -> None:
-        plan = None if self._receiver is None else self._receiver.planned_goal
         self.frames.append(
             ReplayFrame(
                 step=episode.steps,
@@ -120,7 +119,7 @@ class ReplayRecorder(EpisodeCallback):
                 touches_hand=self._touches_hand,
                 object_offered=episode.object_offered,
                 released=episode.release_reason is not None,
-                planned_path=plan,
+                planned_path=None if self._receiver is None else self._receiver.planned_goal,
             )
         )
         self._touches_object = self._touches_hand = False

@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 Color = tuple[int, int, int]
 
-_REQUIRED_MODULES = ("fast_simplification", "trimesh", "viser")
 # Resolution of stored positions (m) and quaternions: invisible, but the page compresses better.
 _POSITION_STEP, _ROTATION_STEP = 2.0**-13, 2.0**-12
 _ROBOT_COLOR, _GOAL_COLOR, _PLAN_COLOR = (205, 208, 214), (60, 160, 90), (190, 60, 200)
@@ -78,7 +77,7 @@ def require_replay_extra() -> None:
     Raises:
         OptionError: A package is missing.
     """
-    require_modules("a replay (.html)", "replay", *_REQUIRED_MODULES)
+    require_modules("a replay (.html)", "replay", "fast_simplification", "trimesh", "viser")
 
 
 def build_replay_page(log: ReplayRecorder, facts: str, camera: CameraConfig | None = None) -> str:

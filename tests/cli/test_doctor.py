@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from handover_marl.cli import main
-from handover_marl.cli.data_folders import check_data_folder, check_installation
+from handover_marl.cli.folders import check_data_folder, check_installation
 from handover_marl.datasets.dexycb.assets import write_hand_assets
 from handover_marl.datasets.dexycb.mano import read_mano_model
 from handover_marl.datasets.official_files import FileOrigin, find_hand_origin
@@ -25,7 +25,7 @@ def test_faults_are_listed(own_data: Path, monkeypatch: pytest.MonkeyPatch) -> N
     assert "meta_000.json does not exist" in text
     assert text.endswith("and 976 more")
     assert {name for _, name, _ in models} == {"models"}
-    monkeypatch.setattr("handover_marl.cli.data_folders._MAX_LISTED", 2000)
+    monkeypatch.setattr("handover_marl.cli.folders._MAX_LISTED", 2000)
     damaged = f"grasps/{CLASS_NAMES[3]}.npy", f"{CLASS_NAMES[SCENE_CLASSES[1]]}/model_normalized.urdf"
     for path in damaged:
         (own_data / "assets" / path).write_bytes(bytes(range(256)))

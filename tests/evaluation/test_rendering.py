@@ -14,7 +14,7 @@ from handover_marl.episode.loop import EpisodeCallback, run_episode
 from handover_marl.errors import HandoverError, OptionError, UnknownNameError
 from handover_marl.evaluation import rendering as scene_rendering
 from handover_marl.evaluation.rendering import render_scene
-from handover_marl.visualization import video as video_module
+from handover_marl.visualization import pictures as drawing
 
 CAMERA = CameraConfig(width=96, height=72)
 
@@ -70,7 +70,7 @@ def test_rendering_does_not_change_the_episode() -> None:
     for times in (range(0), range(0, 1500, 80)):
         episode, joints = Episode("exact"), Joints()
         episode.reset(dataset.load_scene(209))
-        recorder = video_module.FrameRecorder(times, lambda now: now.render(CAMERA))
+        recorder = drawing.FrameRecorder(times, lambda now: now.render(CAMERA))
         run_episode(episode, *players, seed=0, until=1500, callbacks=[joints, recorder])
         ends.append((episode.status, episode.steps, np.array(joints.rows)))
         episode.close()
@@ -82,7 +82,7 @@ def test_rendering_does_not_change_the_episode() -> None:
 @pytest.mark.slow
 def test_videos(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("imageio_ffmpeg", reason="needs the extra `render`")
-    for module in (video_module, scene_rendering):
+    for module in (drawing, scene_rendering):
         monkeypatch.setattr(module, "FRAME_PERIOD_MS", 800)
     assert draw(tmp_path / "video.mp4").read_bytes()[4:8] == b"ftyp"
     with Image.open(draw(tmp_path / "video.gif")) as video:

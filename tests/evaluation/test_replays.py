@@ -8,7 +8,7 @@ import pytest
 
 from handover_marl.errors import OptionError, ResultsError, UnknownNameError
 from handover_marl.evaluation.metadata import read_result_metadata
-from handover_marl.evaluation.replays import ReplayWriter
+from handover_marl.evaluation.recordings import ReplayWriter
 from handover_marl.evaluation.results import ResultFolder, encode_result, read_results
 from tests.evaluation.quick import HORIZON, run, untimed
 from tests.evaluation.reports.test_report import episode

@@ -96,11 +96,6 @@ def test_results_in_the_wrong_place_are_refused(folder: ResultFolder) -> None:
     first.unlink()
     with pytest.raises(ResultsError, match=r"001\.npz must be of scene 214, got scene 209; delete it"):
         evaluate(folder.path)
-    second.unlink()
-    result = replace(RESULT, status=EpisodeStatus.SUCCESS, steps=10**7)
-    folder.write(result, encode_result(result, np.zeros((1, 9), np.float32), np.zeros(1)))
-    with pytest.raises(ResultsError, match=r"000\.npz must have at most 13001 steps .*, got 10000000"):
-        evaluate(folder.path)
 
 
 def test_a_folder_belongs_to_its_first_evaluation(folder: ResultFolder, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,6 +15,8 @@ from tests.evaluation import quick
 
 pytestmark = pytest.mark.slow
 
+PROGRAM = "import sys; from handover_marl.cli import main; sys.exit(main())"
+
 
 def run(data: Path, n_workers: int | None, **options: Any) -> list[tuple[Any, ...]]:
     report = quick.run(data, **{"workers": n_workers, "receiver": "hold", **options})
@@ -54,7 +56,7 @@ def test_random_policies_are_independent_of_workers(fake_data: Path, tmp_path: P
 
 def test_ctrl_c_leaves_no_process(tmp_path: Path) -> None:
     # The 36 scenes of 13 s each take longer than this test, so that the process cannot end by itself.
-    command = [sys.executable, "-m", "handover_marl.cli", "benchmark", "--split", "val", "--receiver", "hold"]
+    command = [sys.executable, "-c", PROGRAM, "benchmark", "--split", "val", "--receiver", "hold"]
     command += ["--dataset", "synthetic", "--out", str(tmp_path / "out"), "--workers", "2"]
     # Background processes may ignore Ctrl-C, and their children inherit this; the command must not.
     listen = functools.partial(signal.signal, signal.SIGINT, signal.SIG_DFL)

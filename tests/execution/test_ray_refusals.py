@@ -7,8 +7,7 @@ import pytest
 
 from handover_marl.errors import WorkerError
 from handover_marl.execution.options import PoolConfig
-from handover_marl.execution.pool import open_pool
-from handover_marl.execution.ray_pool import get_installed_versions, run_ray_task
+from handover_marl.execution.pool import get_installed_versions, open_pool, run_ray_task
 from handover_marl.execution.tasks import pickle_by_value, unpickle_result
 
 

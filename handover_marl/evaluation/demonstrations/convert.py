@@ -49,9 +49,9 @@ _COMPONENTS = {
 def convert_to_minari(folder: str | os.PathLike[str], name: str) -> Path:
     """Write demonstrations as a data set of Minari, which `minari.load_dataset(name)` loads.
 
-    Minari stores it in its own folder, see its variable MINARI_DATASETS_PATH. One step of the data set is one row of
-    the demonstrations. `infos` has the physics steps and the giver's actions in effect, and the metadata of an
-    episode has the keys of `Demonstration.metadata`.
+    Minari stores it in the folder that the environment variable MINARI_DATASETS_PATH names. One step of the data set
+    is one row of the demonstrations. `infos` has the physics steps and the giver's actions in effect, and the metadata
+    of an episode has the keys of `Demonstration.metadata`.
 
     Args:
         folder: Output folder of `demonstrate`.
@@ -102,8 +102,8 @@ def convert_to_minari(folder: str | os.PathLike[str], name: str) -> Path:
 def convert_to_lerobot(folder: str | os.PathLike[str], name: str) -> Path:
     """Write demonstrations as a data set of LeRobot, which `LeRobotDataset(name)` loads.
 
-    LeRobot stores it in its own folder, see its variable HF_LEROBOT_HOME. The end of an episode has no action and
-    no frame. The file `meta/handover_marl.json` has the metadata of every episode.
+    LeRobot stores it in the folder that the environment variable HF_LEROBOT_HOME names. The end of an episode has no
+    action and no frame. The file `meta/handover_marl.json` has the metadata of every episode.
 
     Args:
         folder: Output folder of `demonstrate`, recorded with a frame rate (`fps`).

@@ -1,6 +1,5 @@
 """Recorded episodes: arrays of observations and actions with their metadata, their files (`.npz`), and a reader."""
 
-import contextlib
 import json
 import operator
 import os
@@ -18,7 +17,7 @@ from handover_marl.config import PANDA_DOF
 from handover_marl.episode.giver_motion import NO_DEVIATION
 from handover_marl.episode.observations import Observation, receiver_observation_space
 from handover_marl.episode.spaces import receiver_action_space
-from handover_marl.errors import DataFormatError, DataNotFoundError, check_name
+from handover_marl.errors import DataNotFoundError, check_name
 from handover_marl.evaluation.config import EvaluationConfig, require_policy_reference
 from handover_marl.evaluation.metadata import ResultMetadata, read_result_metadata
 from handover_marl.evaluation.results import (
@@ -29,9 +28,9 @@ from handover_marl.evaluation.results import (
     find_numbered,
     read_results,
 )
-from handover_marl.execution.files import encode_arrays, shorten_text
+from handover_marl.execution.files import encode_arrays
 from handover_marl.execution.options import check_path
-from handover_marl.execution.reading import read_arrays, read_plain_file
+from handover_marl.execution.reading import read_arrays, read_plain_file, report_damage
 from handover_marl.version import __version__
 
 # Values of the metadata, and values in place of unknown ones.
@@ -43,6 +42,7 @@ _UNKNOWN: dict[str, Any] = {"release_step": -1}
 _OBSERVATION_PREFIX, _METADATA = "observations/", "metadata"
 _MAX_BYTES = 8_000_000_000  # unpacked size of one episode
 _MAX_METADATA_BYTES = 10_000
+_KIND_AND_ADVICE = "demonstration", "remove it and run the same command again to record its episode again"
 _ARRAYS = ("actions", "rewards", "terminations", "truncations", "steps", "giver_steps", "giver_actions")
 
 
@@ -105,7 +105,7 @@ def hold_actions(
 
 
 def describe_demonstration(result: EpisodeResult, config: EvaluationConfig) -> dict[str, Any]:
-    """Return the metadata of an episode, see `Demonstration`.
+    """Return the metadata of an episode (scene, policies, outcome), see `Demonstration.metadata`.
 
     Args:
         result: Outcome of the episode.
@@ -144,7 +144,7 @@ class Demonstrations:
         folder: Output folder of `demonstrate`, also of one that is not finished.
 
     Attributes:
-        folder: Output folder of `demonstrate`.
+        folder: Path of this folder.
         fps: Frames per second; None if the rows are the receiver's decisions.
         observation_space: Space of the recorded receiver's observations, a `gymnasium.spaces.Dict`.
         action_space: Space of the recorded receiver's actions, target positions of its 9 joints (rad, m).
@@ -164,7 +164,7 @@ class Demonstrations:
                 f"{path} does not exist: the folder has no demonstrations; `handover-marl demonstrate --out` records "
                 "them"
             )
-        with _report_damage(path):
+        with report_damage(path, *_KIND_AND_ADVICE):
             content = json.loads(read_plain_file(path, _MAX_METADATA_BYTES))
             self.observation_space = receiver_observation_space(content["obs_mode"], content["largest_class"])
             self.fps: int | None = content["fps"]
@@ -190,14 +190,14 @@ class Demonstrations:
         return map(self.__getitem__, range(len(self)))
 
     def read_metadata(self) -> list[dict[str, Any]]:
-        """Read the metadata of every episode, see `Demonstration`.
+        """Read the metadata of every episode (scene, policies, outcome), see `Demonstration.metadata`.
 
         Raises:
             DataFormatError: The file of an episode is damaged.
         """
         found = []
         for path in self._paths:
-            with _report_damage(path):
+            with report_damage(path, *_KIND_AND_ADVICE):
                 found.append(read_episode_metadata(path))
         return found
 
@@ -235,7 +235,7 @@ class Demonstrations:
     def _read(self, number: int, names: Iterable[str]) -> Demonstration:
         """Read an episode with some of its observations; see `__getitem__` for errors."""
         path, keys = self._paths[number], {_OBSERVATION_PREFIX + name: name for name in names}
-        with _report_damage(path):
+        with report_damage(path, *_KIND_AND_ADVICE):
             arrays = read_arrays(path, (*keys, *_ARRAYS), _MAX_BYTES)
             n_rows = len(arrays["actions"])
             if {len(arrays[name]) for name in ("steps", *keys)} != {n_rows + 1}:
@@ -252,19 +252,3 @@ class Demonstrations:
             f"{source.split}, {source.physics} physics; {source.recorded}.\nSimulated: {outcomes.total()} ({counts}). "
             f"Files: {self.folder / DEMONSTRATIONS}"
         )
-
-
-@contextlib.contextmanager
-def _report_damage(path: Path) -> Iterator[None]:
-    """Turn every exception in a `with` block that reads a file into an error that names the file.
-
-    Raises:
-        DataFormatError: The file cannot be read.
-    """
-    try:
-        yield
-    except Exception as error:  # NumPy and zipfile raise exceptions of many types on damaged files
-        raise DataFormatError(
-            f"{path} cannot be read ({shorten_text(error)}); remove it and run the same command again to record its "
-            "episode again"
-        ) from error

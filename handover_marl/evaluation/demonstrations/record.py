@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.config import TIME_STEP
-from handover_marl.datasets.splits import SPLITS
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import EpisodeCallback, PolicyDecision
 from handover_marl.episode.observations import Observation, select_receiver_observation
@@ -43,7 +42,6 @@ from handover_marl.simulation.camera.renderers import resolve_renderer
 
 #: Choices of the episodes to record.
 ALL, SUCCESS = "all", "success"
-KEEP_CHOICES = (ALL, SUCCESS)
 #: Largest frame rate: one frame for each physics step.
 MAX_FPS = round(1.0 / TIME_STEP)
 
@@ -83,8 +81,7 @@ def demonstrate(
         HandoverError: The same errors as `evaluate_pair`.
     """
     config, execution = build_configs(setup, options, execution, split=split, receiver=receiver, giver=giver)
-    check_name("keep", keep, KEEP_CHOICES)
-    check_name("split", config.split, SPLITS)
+    check_name("keep", keep, (ALL, SUCCESS))
     if config.split != "train":
         raise OptionError(
             f"split must be 'train', got {config.split!r}: results on a split are invalid if its episodes were used "
@@ -178,7 +175,9 @@ class DemonstrationRecorder(EpisodeCallback):
 
 
 class DemonstrationWriter(EpisodeWriter):
-    """Writer of one file per recorded episode, and of one that describes all, in a result folder; see `demonstrate`.
+    """Writer of one file for each recorded episode, and of one that describes all, in a result folder.
+
+    The arguments `obs_mode`, `keep` and `fps` are those of `demonstrate`.
 
     Raises:
         ResultsError: The folder for the episodes cannot be created.
@@ -192,7 +191,7 @@ class DemonstrationWriter(EpisodeWriter):
         write_atomically(self.path / DEMONSTRATIONS_METADATA, json.dumps(description) + "\n")
 
     def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
-        """Create the recorder of observations and actions, and the function that returns the file of an episode."""
+        """Create the recorder of observations and actions, and the function that returns an episode's file content."""
         recorder = DemonstrationRecorder(config, self._obs_mode, self._fps)
         return (
             recorder,

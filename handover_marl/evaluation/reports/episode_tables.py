@@ -129,7 +129,7 @@ def build_fluency_table(means: Mapping[str, Estimate], title: str = "mean") -> R
 
     Args:
         means: Means by key, as `estimate_fluency` returns them.
-        title: Title of their column.
+        title: Title of the column of means.
     """
     rows: list[list[object]] = []
     for column in FLUENCY if means else ():

@@ -207,7 +207,7 @@ class ReportTable:
         return self.format()
 
     def select(self, columns: Sequence[str]) -> "ReportTable":
-        """Return the table with `columns` alone, in their order, without rows if it lacks one; all if none is given."""
+        """Return the table with these columns alone (no titles: all), in their order; without rows if it lacks one."""
         if not columns:
             return self
         if not set(columns) <= set(self.header):
@@ -232,7 +232,25 @@ class ReportTable:
             )
             lines = [f"\\begin{{tabular}}{{{'l' * len(self.header)}}}", r"\toprule", head, r"\midrule", *body]
             return "\n".join([*lines, r"\bottomrule", r"\end{tabular}"])
-        return format_table(self.header, self.rows, self.n_keys, self.split_column)
+        return self._format_markdown()
+
+    def _format_markdown(self) -> str:
+        """Return the table as Markdown; as several tables with the same key columns if it is wide."""
+        cells = [[str(cell).replace("|", "\\|") for cell in row] for row in (self.header, *self.rows)]
+        widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+        parts: list[list[int]] = [[]]
+        for column in range(self.n_keys, len(self.header)):
+            width = 1 + sum(widths[other] + 3 for other in (*range(self.n_keys), *parts[-1], column))
+            if parts[-1] and (width > _MAX_WIDTH or column == self.split_column):
+                parts.append([])
+            parts[-1].append(column)
+        tables = []
+        for part in parts:
+            columns = [*range(min(self.n_keys, len(self.header))), *part]
+            lines = ["| " + " | ".join(row[column].ljust(widths[column]) for column in columns) + " |" for row in cells]
+            rule = "|".join("-" * (widths[column] + 2) for column in columns)
+            tables.append("\n".join([lines[0], f"|{rule}|", *lines[1:]]))
+        return "\n\n".join(tables)
 
 
 class TabularResult(ABC):
@@ -285,37 +303,9 @@ def format_csv(rows: Sequence[Sequence[object]]) -> str:
     return stream.getvalue()
 
 
-def format_table(
-    header: Sequence[str], rows: Sequence[Sequence[object]], n_keys: int = 1, split_column: int = 0
-) -> str:
-    """Return a Markdown table; split a wide table into several with the same first columns.
-
-    Args:
-        header: Column titles.
-        rows: Cells, one sequence per row.
-        n_keys: Number of first columns that identify a row.
-        split_column: Column before which the table is split in any case; 0 for none.
-    """
-    cells = [[str(cell).replace("|", "\\|") for cell in row] for row in (header, *rows)]
-    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    parts: list[list[int]] = [[]]
-    for column in range(n_keys, len(header)):
-        width = 1 + sum(widths[other] + 3 for other in (*range(n_keys), *parts[-1], column))
-        if parts[-1] and (width > _MAX_WIDTH or column == split_column):
-            parts.append([])
-        parts[-1].append(column)
-    tables = []
-    for part in parts:
-        columns = [*range(min(n_keys, len(header))), *part]
-        lines = ["| " + " | ".join(row[column].ljust(widths[column]) for column in columns) + " |" for row in cells]
-        rule = "|".join("-" * (widths[column] + 2) for column in columns)
-        tables.append("\n".join([lines[0], f"|{rule}|", *lines[1:]]))
-    return "\n\n".join(tables)
-
-
-def format_seconds(value: float | None) -> str:
-    """Return a time (s) as text with three decimals; "-" for None."""
-    return NO_VALUE if value is None else f"{value:.3f}"
+def format_table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """Return a Markdown table with these column titles and rows; a wide table is split, see `ReportTable`."""
+    return str(ReportTable(header, rows))
 
 
 def format_percent_rate(count: int, n: int, digits: int = 1) -> str:

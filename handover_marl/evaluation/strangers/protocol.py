@@ -166,7 +166,7 @@ def update_references(
 
 
 def _make_reference(agent: str, report: Report, partner_policy: str) -> Reference:
-    """Return a report's policy of `agent` as reference; its command evaluates it with the partner `partner_policy`."""
+    """Return the policy of `agent` in a report as a reference, with a command that evaluates it with a partner."""
     metadata = report.metadata
     policy, names = getattr(metadata, agent), ("dataset", "setup", "split", "physics", "robot", "seed")
     policies = {"giver": metadata.giver, "receiver": metadata.receiver} | {OTHER_AGENT[agent]: partner_policy}
@@ -209,7 +209,7 @@ class Leaderboard(TabularResult):
 
     @property
     def splits(self) -> dict[str, list[int]]:
-        """Indices in `reports` by split of the scenes."""
+        """Indices of the evaluations in `reports`, by their split of scenes."""
         found: dict[str, list[int]] = {}
         for number, report in enumerate(self.reports):
             found.setdefault(report.condition.split, []).append(number)
@@ -217,7 +217,7 @@ class Leaderboard(TabularResult):
 
     @property
     def titles(self) -> list[str]:
-        """Name and split of every report."""
+        """Titles of the reports in tables: name of the method and split of the scenes."""
         return [f"{name}, {report.condition.split}" for name, report in zip(self.names, self.reports, strict=True)]
 
     def write_heat_map(self, path: Path) -> None:
@@ -228,7 +228,7 @@ class Leaderboard(TabularResult):
             ResultsError: The file cannot be written.
         """
         require_modules("the heat map", "plot", "matplotlib")
-        from handover_marl.visualization.figures import draw_heat_map
+        from handover_marl.visualization.pictures import draw_heat_map
 
         first = self.reports[0]
         rates = np.stack([report.successes.mean(axis=(0, 2)) for report in self.reports], axis=1).tolist()

@@ -64,7 +64,7 @@ class Condition:
         return [name for name, value in vars(self).items() if value != vars(other)[name]]
 
     def contains(self, other: "Condition") -> bool:
-        """Return whether another condition is this one, on all or some of its scenes."""
+        """Return whether another condition is the same as this one, on all or some of the same scenes."""
         same = set(self.list_differences(other)) <= {"scenes", "data"}
         return same and set(zip(other.scenes, other.data, strict=True)) <= set(zip(self.scenes, self.data, strict=True))
 
@@ -93,11 +93,11 @@ class Reference:
 
 @dataclass(frozen=True)
 class ReferenceTable(TabularResult):
-    """References of a population. `str` returns a Markdown table.
+    """References of a population: the best policy known for each partner. `str` returns a Markdown table.
 
     Attributes:
         population: Population of the partners.
-        sections: Best policies by partner, for every condition.
+        sections: Best policies by the partner's name, for every condition.
     """
 
     population: Population

@@ -113,7 +113,7 @@ class StrangersReport(TabularResult):
 
     @property
     def families(self) -> dict[str, list[int]]:
-        """Indices in `partners` by family."""
+        """Indices in `partners` of the members of each family, by family."""
         names = self.partner_families
         return {family: [number for number, name in enumerate(names) if name == family] for family in names}
 

@@ -28,7 +28,7 @@ _TRIMMED = 0.25  # share of the values that an interquartile mean leaves out at 
 
 
 def compute_proximities(returns: Array, references: Array) -> Array:
-    """Compute best-response proximities: returns (policies, partners) over those of the best policies (partners,).
+    """Divide returns (policies, partners) by those of the best known policies (partners,): best-response proximities.
 
     They are above 1 where a policy exceeds the best one, and 1 for partners with whom no policy has a positive return.
     """
@@ -41,22 +41,22 @@ def compute_proximity(returns: Array, references: Array) -> float:
 
 
 def compute_mean(returns: Array, references: Array) -> float:
-    """Compute the mean of the returns (policies, partners); `references` is not used."""
+    """Compute the mean of returns (policies, partners), which are scores averaged over scenes; ignore `references`."""
     return float(returns.mean())
 
 
 def compute_worst(returns: Array, references: Array) -> float:
-    """Average the returns (policies, partners) over policies; return the smallest, that with the worst partner."""
+    """Average returns (policies, partners) over policies; return the worst partner's. `references` is not used."""
     return float(returns.mean(axis=0).min())
 
 
 def compute_largest(returns: Array, references: Array) -> float:
-    """Average the returns (policies, partners) over policies; return the largest, that of one partner."""
+    """Average returns (policies, partners) over policies; return the largest mean. `references` is not used."""
     return float(returns.mean(axis=0).max())
 
 
 def compute_worst_proximity(returns: Array, references: Array) -> float:
-    """Average the proximities over policies; return the smallest, that with the worst partner."""
+    """Average `compute_proximities` over policies; return the smallest, that with the worst partner."""
     return compute_worst(compute_proximities(returns, references), references)
 
 
@@ -85,7 +85,8 @@ def estimate_rate(statistic: Statistic, flags: Array, families: Sequence[str] | 
     Args:
         statistic: Function of returns (policies, partners), which are here shares of scenes; see `Statistic`.
         flags: Outcomes (policies, partners, scenes), 0 or 1.
-        families: Family of every partner, see `estimate`; None for the rate with one of the partners, e.g. the worst.
+        families: Family of every partner, of which the jackknife leaves out one at a time; None for the rate with one
+            of the partners, e.g. the worst.
     """
     value, error, quantile = _apply_jackknife(lambda own, _: statistic(own.mean(axis=-1), own), [flags], families, None)
     n = flags.size if families is not None else flags.size // flags.shape[1]
@@ -108,7 +109,7 @@ def estimate_difference(
         statistic: Function of returns (policies, partners) and reference returns (partners,); see `Statistic`.
         first: Scores (policies, partners, scenes) of the first method.
         second: Scores of the second method with the same partners and scenes; its number of policies may differ.
-        families: Family of every partner; see `estimate`.
+        families: Family of every partner, of which the jackknife leaves out one at a time; None leaves out none.
         references: Scores (partners, scenes) of the best policy for each partner; None if the statistic needs none.
     """
 

@@ -71,7 +71,7 @@ def test_flipped_bytes_are_detected(own: Path) -> None:
     path.write_bytes(data)
     demonstrations = Demonstrations(own)
     for read in (lambda: demonstrations[0], demonstrations.read_transitions):
-        with pytest.raises(DataFormatError, match=r"000\.npz cannot be read .* remove it and run the same command"):
+        with pytest.raises(DataFormatError, match=r"000\.npz: not a readable demonstration .*; remove it and run"):
             read()
     assert len(demonstrations[1])
 
@@ -90,5 +90,5 @@ def test_malformed_episodes_are_refused(own: Path, name: str, value: Any) -> Non
     with np.load(path) as file:
         arrays = {key: file[key] for key in file.files if key != name}
     np.savez(path, **arrays, **({} if value is None else {name: value}))
-    with pytest.raises(DataFormatError, match=r"000\.npz cannot be read"):
+    with pytest.raises(DataFormatError, match=r"000\.npz: not a readable demonstration"):
         Demonstrations(own)[0]

@@ -1,0 +1,140 @@
+"""Time series and replay pages in a result folder, one file for each scene.
+
+`traces/209.csv` has a row for every 20 ms of the episode in scene 209; `episodes/209.html` is an animated 3D scene.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from handover_marl.datasets.registry import format_dataset_title
+from handover_marl.episode.episode import Episode
+from handover_marl.episode.loop import EpisodeCallback
+from handover_marl.episode.metrics.motion import SAMPLE_STEPS, EpisodeTrace, compute_speeds
+from handover_marl.evaluation.config import REPLAYS_ALL, EvaluationConfig, require_policy_reference
+from handover_marl.evaluation.reports.tables import format_csv
+from handover_marl.evaluation.results import REPLAYS, EpisodeRecorder, EpisodeResult, EpisodeWriter
+from handover_marl.policies.policy import Policy
+from handover_marl.version import __version__
+from handover_marl.visualization.replay_recorder import ReplayRecorder
+from handover_marl.visualization.replay_scene import build_replay_page
+
+_POSITIONS = tuple(f"{point}_{axis}" for point in ("gripper", "wrist") for axis in "xyz")
+#: Columns: time (s); positions of the robot's hand link and of the person's wrist in the world frame (m), their speeds,
+#: averaged over 60 ms (m/s), and their distance (m); largest sums of the robot's normal forces on object and person's
+#: hand since the previous row (N). Columns of the wrist are empty while the person's hand is absent.
+COLUMNS = (
+    *("time", *_POSITIONS, "gripper_speed", "wrist_speed", "gripper_wrist_distance"),
+    *("robot_object_force", "robot_hand_force"),
+)
+
+
+class ForceRecorder(EpisodeCallback):
+    """Recorder of contact forces, with a sample every 20 ms, at the times of an `EpisodeTrace`.
+
+    Attributes:
+        forces: For each sample of the last episode the forces (on object, on the person's hand): the largest sum of
+            the robot's normal forces in one physics step since the previous sample (N).
+    """
+
+    def on_reset(self, episode: Episode) -> None:
+        """Discard the forces of the previous episode; the sample at the start has zero forces."""
+        self.forces, self._largest = [(0.0, 0.0)], (0.0, 0.0)
+
+    def on_step(self, episode: Episode) -> None:
+        """Update the largest forces since the last sample; append them to `forces` every `SAMPLE_STEPS` steps."""
+        found, (on_object, on_hand) = episode.contacts, self._largest
+        self._largest = max(on_object, found.robot_object_force), max(on_hand, found.robot_hand_force)
+        if episode.steps % SAMPLE_STEPS == 0:
+            self.forces.append(self._largest)
+            self._largest = (0.0, 0.0)
+
+    def on_end(self, episode: Episode) -> None:
+        """Include forces after the last sample, such as those of a contact that ended the episode, in this sample."""
+        self.forces[-1] = max(self.forces[-1][0], self._largest[0]), max(self.forces[-1][1], self._largest[1])
+
+
+class TraceWriter(EpisodeWriter):
+    """Writer of the time series of each episode, as a CSV file with the columns `COLUMNS`."""
+
+    def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
+        """Create the recorder of contact forces, and the function that returns the content of an episode's CSV file."""
+        recorder = ForceRecorder()
+        return recorder, lambda result, trace: format_trace(trace, recorder).encode()
+
+    def get_path(self, result: EpisodeResult) -> Path:
+        """Return the path of an episode's CSV file, which is named after the scene: `traces/209.csv`."""
+        return self.path / f"{result.scene_id or 0:03d}.csv"
+
+
+def format_trace(trace: EpisodeTrace, recorder: ForceRecorder) -> str:
+    """Return a motion trace, and the forces recorded in the same episode, as CSV text with the columns `COLUMNS`."""
+    has_hand = np.isfinite(trace.wrist[:, 0])
+    values = np.column_stack(
+        [
+            np.arange(len(trace.gripper)) * trace.period,
+            trace.gripper,
+            trace.wrist,
+            compute_speeds(trace.gripper, trace.period),
+            np.where(has_hand, compute_speeds(trace.wrist, trace.period), np.nan),
+            np.linalg.norm(trace.gripper - trace.wrist, axis=1),
+            recorder.forces,
+        ]
+    )
+    return format_csv([COLUMNS, *([None if np.isnan(cell) else f"{cell:.6g}" for cell in row] for row in values)])
+
+
+def format_replay_facts(config: EvaluationConfig, models: str) -> str:
+    """Return one line of text on data, policies and simulation of a replayed episode, for its page.
+
+    Args:
+        config: Resolved configuration of the evaluation.
+        models: Description of substitutes for HandoverSim's models; empty without any.
+    """
+    receiver, giver = require_policy_reference(config.receiver), require_policy_reference(config.giver)
+    camera = config.wrist_camera.describe(receiver.obs_mode, config.physics)
+    observation = f" (obs_mode {receiver.obs_mode}, {camera})" if camera else ""
+    parts = [
+        format_dataset_title(config.dataset) + (f", {models}" if models else ""),
+        f"receiver {receiver.label}{observation}, giver {giver.label}",
+        f"{config.physics} physics",
+        f"robot {config.robot}",
+        f"seed {config.seed}",
+        f"handover_marl {__version__}",
+    ]
+    return "; ".join(parts)
+
+
+class ReplayWriter(EpisodeWriter):
+    """Writer of a replay page for each episode, or for each failed episode.
+
+    Args:
+        folder: Result folder of the evaluation.
+        replays: Episodes with a page, "all" or "failed".
+
+    Raises:
+        ResultsError: The folder for the pages cannot be created.
+    """
+
+    def __init__(self, folder: Path, replays: str) -> None:
+        super().__init__(folder / REPLAYS)
+        self._include_successes = replays == REPLAYS_ALL
+
+    def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
+        """Create the recorder of states and contacts, and the function that returns the page of an episode."""
+        recorder = ReplayRecorder(receiver)
+
+        def encode(result: EpisodeResult, trace: EpisodeTrace) -> bytes:
+            if result.success and not self._include_successes:
+                return b""
+            return build_replay_page(recorder, format_replay_facts(config, result.models or "")).encode()
+
+        return recorder, encode
+
+    def contains(self, result: EpisodeResult) -> bool:
+        """Return whether the page of an episode exists, or is not requested."""
+        return (result.success and not self._include_successes) or super().contains(result)
+
+    def get_path(self, result: EpisodeResult) -> Path:
+        """Return the path of an episode's replay page, which is named after the scene: `episodes/209.html`."""
+        return self.path / f"{result.scene_id or 0:03d}.html"
