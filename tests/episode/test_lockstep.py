@@ -4,7 +4,7 @@ import contextlib
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from handover_marl.config import ProtocolConfig
@@ -104,10 +104,14 @@ def without_final_count(last: int, state: RefereeState) -> tuple[int, RefereeSta
         (False, 2),
         (False, 5),
         (False, 60),
-        *(pytest.param(True, n, marks=pytest.mark.slow) for n in (5, 60)),
+        pytest.param(True, 5, marks=pytest.mark.slow),
     ],
 )
 @settings(max_examples=12)
+@example(
+    [[Contacts(robot_touches_object=True, finger_points=(INSIDE, INSIDE))] * 4 + [Contacts(object_supported=True)]],
+    False,
+)
 @given(streams(), st.booleans())
 def test_arrays_give_the_states_of_the_referee(
     is_device: bool, chunk: int, episodes: list[list[Contacts]], releases_voluntarily: bool

@@ -140,6 +140,7 @@ def test_bits_are_those_of_handoversim() -> None:
 
 def test_referee_reports_the_release_step() -> None:
     referee = Referee(CONFIG)
+    assert referee.get_state() == (0, 0, -1, -1, 0, 0, 0)
     for _ in range(10):
         referee.update(NOTHING)
     for _ in range(100):

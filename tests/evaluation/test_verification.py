@@ -1,6 +1,8 @@
 import functools
+import json
 import shutil
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,18 +12,26 @@ import pytest
 import handover_marl
 from handover_marl.cli import main
 from handover_marl.config import ProtocolConfig, WorldConfig
+from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError, ResultsError
+from handover_marl.evaluation import verification
 from handover_marl.evaluation.benchmark import benchmark, evaluate_pair
 from handover_marl.evaluation.config import EvaluationConfig, resolve_config
 from handover_marl.evaluation.episode_runner import EpisodeRunner, SceneTask
+from handover_marl.evaluation.metadata import ResultMetadata
+from handover_marl.evaluation.reports.report import evaluate, write_report
 from handover_marl.evaluation.results import EpisodeResult, read_result, read_result_and_actions
 from handover_marl.evaluation.verification import (
+    Difference,
     StoredActions,
+    Verification,
+    check_actions,
     check_episode,
     check_reports,
     compare_results,
     verify,
 )
+from tests.evaluation.quick import make_report, write_results
 
 SCENE, INDEX = 19, 2
 OPTIONS: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "workers": 1, "progress": False}
@@ -107,24 +117,124 @@ REPORT_FORGERIES: dict[str, Callable[[Path], object]] = {
 }
 
 
+def describe(differences: list[Difference]) -> list[tuple[int | None, str, str, str]]:
+    return [(each.scene_id, each.key, each.stored, each.expected) for each in differences]
+
+
+def test_differences_are_named_by_their_values() -> None:
+    """The outcome comes first; long texts are cut off; planning times and their machine are not compared."""
+    result = make_report().episodes[0]
+    assert result.fluency is not None
+    fluency = replace(result.fluency, giver_path=2.0, reach=result.fluency.reach + 5e-7, gripper_jerk=1.5)
+    changed = replace(result, status=EpisodeStatus.TIMEOUT, steps=1, plan_s=9.0, machine="other", fluency=fluency)
+    changed = replace(changed, models="x" * 61, fingerprint="y" * 60)
+    found = describe(compare_results(changed, result, same_version=True))
+    path = f"{result.fluency.giver_path:g}"
+    expected = [
+        (209, "outcome", "timeout", "success"),
+        (209, "fluency.giver_path", "2", path),
+        (209, "fluency.gripper_jerk", "1.5", "none"),
+        (209, "steps", "1", "4000"),
+    ]
+    versioned = [(209, "fingerprint", "y" * 60, "data"), (209, "models", "x" * 57 + "...", "MANO hands")]
+    assert found == [expected[0], versioned[0], *expected[1:3], versioned[1], expected[3]]
+    assert describe(compare_results(changed, result, same_version=False)) == expected
+    unknown = replace(result, scene_id=None, models=None, fingerprint=None, n_objects=None, fluency=None)
+    assert compare_results(unknown, result, same_version=True) == []
+    assert len(compare_results(replace(unknown, scene_id=209), result, same_version=True)) > 3
+    changed = replace(unknown, steps=1)
+    assert describe(compare_results(changed, result, same_version=True)) == [(209, "steps", "1", "4000")]
+
+
+def test_the_text_of_a_verification() -> None:
+    metadata = ResultMetadata("s0", "val", "mine", "replay", "fast", "synthetic", "1.0")
+    keys = ((9, "outcome"), (9, "steps"), (None, "giver_hash"))
+    found = Verification(metadata, (9, 14), tuple(Difference(scene, key, "old", "new") for scene, key in keys))
+    paragraphs = [part for part in found.build_sections() if isinstance(part, str) and part]
+    assert paragraphs == [
+        "s0 val, synthetic, receiver mine, giver replay, fast physics, handover_marl 1.0: 2 of 36 scenes simulated "
+        "again from their stored actions.",
+        "Not verified: planning times, and that the actions are those of the named receiver.",
+        "Not compared, because version 1.0 wrote them: reports and hashes.",
+        "Not equal: 1 of 2 episodes and 1 values of the folder.",
+        "34 of 36 scenes of the split were not simulated.",
+        "The giver's code, or the way in which it was named, differs from that of the evaluation.",
+    ]
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in str(found).splitlines() if "| old" in line]
+    assert rows == [
+        ["9", "outcome", "old", "new"],
+        ["9", "steps", "old", "new"],
+        ["folder", "giver_hash", "old", "new"],
+    ]
+    assert (found.is_verified, found.changed_scenes) == (False, (9,))
+    equal = Verification(replace(metadata, version=handover_marl.__version__), tuple(range(36)), (), 2)
+    assert [part for part in equal.build_sections() if isinstance(part, str) and part][2:] == [
+        "Verified: all 36 episodes are equal.",
+        "2 results of the folder are not in its report, which has the scenes of the last run.",
+    ]
+    assert equal.is_verified
+
+
+def test_values_of_a_report_are_compared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert check_reports(write_results(tmp_path)) == ([], 0), "there is no report"
+    write_report(tmp_path, evaluate(tmp_path))
+    path = tmp_path / "report.json"
+    report = json.loads(path.read_text())
+
+    def check(**changes: Any) -> tuple[list[tuple[int | None, str, str, str]], int]:
+        path.write_text(json.dumps(report | changes))
+        differences, n_unreported = check_reports(tmp_path)
+        return describe(differences), n_unreported
+
+    assert check(n_resumed=-1) == ([], 0), "another version wrote it"
+    monkeypatch.setattr(verification, "__version__", "1.0")
+    assert check() == ([], 0)
+    values = (None, "report.json", "other values (1), e.g. {}", "the values of these results")
+    one, two = report["episodes"]
+    for name, changes in {
+        "n_resumed": {"n_resumed": -1},
+        "episodes[1].steps": {"episodes": [one, two | {"steps": 1}]},
+    }.items():
+        assert check(**changes) == ([(*values[:2], values[2].format(name), values[3])], 0)
+    assert check(n_resumed=3)[0][0] == check(n_resumed=-1)[0][0]
+    assert "report.json" not in {each[1] for each in check(n_resumed=2)[0]}
+    found, n_unreported = check(episodes=[one])
+    assert (n_unreported, found[0][0]) == (1, None)
+    (tmp_path / "001.npz").write_bytes(b"no archive")
+    found, n_unreported = check()
+    assert ([each[1] for each in found], n_unreported) == (["results"], 0)
+
+
+def test_stored_actions_are_played_until_the_next_different_one() -> None:
+    actions = np.zeros((6, 9), dtype=np.float32)
+    actions[2:, 0], actions[3:, 8] = 1.0, 0.5
+    receiver = StoredActions(actions)
+    for _ in range(2):
+        played = [(*receiver.act({})[[0, 8]].tolist(), receiver.hold_time) for _ in range(3)]
+        assert played == [(0.0, 0.0, pytest.approx(0.002)), (1.0, 0.0, pytest.approx(0.001)), (1.0, 0.5, np.inf)]
+        receiver.reset()
+    file = Path("000.npz")
+    assert check_actions(file, actions.astype(float), 6).dtype == np.float32
+    endless = np.full_like(actions, np.inf)
+    for unfit, n_steps in ((actions, 5), (actions[:, :8], 6), (actions.astype(int), 6), (endless, 6)):
+        with pytest.raises(ResultsError, match="action must be finite float32 of shape"):
+            check_actions(file, unfit, n_steps)
+
+
 @pytest.mark.slow
 def test_what_was_compared_is_printed(folder: Path) -> None:
     before = {file.name: file.read_bytes() for file in folder.iterdir()}
-    verification = verify(folder, workers=1, progress=False)
-    text = str(verification)
-    assert verification.is_verified, text
-    assert verification.scenes == (SCENE,)
-    assert "Verified: all 1 episodes are equal." in text
-    assert "35 of 36 scenes of the split were not simulated." in text
-    assert "Not compared" not in text
+    found = verify(folder, workers=1, progress=False)
+    assert found.is_verified, str(found)
+    assert found.scenes == (SCENE,)
     assert {file.name: file.read_bytes() for file in folder.iterdir()} == before
     path = folder / "config.yaml"
     path.write_text(path.read_text().replace(f"version: {handover_marl.__version__}", "version: 0.7.0"))
     # A copied result, of scene 24 by its name, is found.
     (folder / "003.npz").write_bytes((folder / "002.npz").read_bytes())
-    verification = verify(folder, workers=1, progress=False)
-    assert "Not compared, because version 0.7.0 wrote them: reports and hashes." in str(verification)
-    assert verification.changed_scenes == (24,)
+    found = verify(folder, workers=1, progress=False)
+    assert found.changed_scenes == (24,)
+    assert {each.scene_id for each in found.differences} == {24}, "nothing of the folder was compared"
 
 
 @pytest.mark.slow
@@ -185,9 +295,8 @@ def test_a_last_run_of_fewer_scenes(tmp_path: Path) -> None:
     evaluate_pair("replay", "hold", "s0", "val", scenes=[9, SCENE], **options)
     evaluate_pair("replay", "hold", "s0", "val", scenes=[SCENE], **options)
     assert check_reports(tmp_path) == ([], 1)
-    verification = verify(tmp_path, workers=1, progress=False, world_config=NOISY)
-    assert verification.is_verified
-    assert "1 results of the folder are not in its report" in str(verification)
+    found = verify(tmp_path, workers=1, progress=False, world_config=NOISY)
+    assert (found.is_verified, found.n_unreported) == (True, 1)
     path = tmp_path / "config.yaml"
     path.write_text(path.read_text().replace("giver: replay", "giver: wary"))
     with pytest.raises(OptionError, match="'wary', which is not registered; pass giver="):
