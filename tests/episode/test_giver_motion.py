@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 from handover_marl.episode.giver_motion import (
     NEVER,
     NO_DEVIATION,
-    GiverMotion,
     find_pick_up_frame,
     find_wrist_in_base,
     requests_release,
@@ -19,7 +18,7 @@ from handover_marl.episode.giver_motion import (
 from handover_marl.episode.wrist_offset import move_with_wrists
 from handover_marl.geometry.kinematic_tree import compute_link_trajectory
 from handover_marl.simulation.reference_tracking import WRIST_LINK, ReferenceMotion
-from tests.episode.one_giver import CONFIG, COUNT, SCENES, OneGiver
+from tests.episode.one_giver import CONFIG, SCENES, OneGiver
 
 SCENE = SCENES[0]
 
@@ -264,10 +263,3 @@ def test_an_opening_hand_opens_evenly() -> None:
     fingers = np.concatenate([part.hand[:, 6:] for part in parts])
     np.testing.assert_allclose(fingers, (1.0 - CONFIG.opening * opened[:, None]) * before[6:], atol=1e-6)
     np.testing.assert_array_equal(np.concatenate([part.hand[:, :6] for part in parts]), np.tile(before[:6], (500, 1)))
-
-
-def start() -> GiverMotion:
-    motion = GiverMotion(COUNT, CONFIG)
-    for row, scene in enumerate(SCENES):
-        motion.reset(row, scene)
-    return motion
