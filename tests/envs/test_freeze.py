@@ -13,6 +13,7 @@ from handover_marl.episode.observations import Observation
 from handover_marl.errors import ActionError, OptionError, PolicyError, ResetNeededError, UnknownNameError
 from handover_marl.givers import Action, Giver, make_giver_action
 from tests.envs.test_handover_env import REPLAY, START
+from tests.equality import assert_equal
 
 SYNTHETIC: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "split": "val"}
 pytestmark = [
@@ -30,20 +31,6 @@ def only_known_scenes(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def frozen(data: Path, agent: str = "receiver", partner: Any = None, **options: Any) -> FrozenPartnerEnv:
     return freeze(parallel_env(data_dir=data, **options), agent, partner)
-
-
-def assert_equal(first: Any, second: Any) -> None:
-    """Check that nested containers have the same types and keys, and that all their arrays and numbers are equal."""
-    assert type(first) is type(second)
-    if isinstance(first, dict):
-        assert first.keys() == second.keys()
-        for key in first:
-            assert_equal(first[key], second[key])
-    elif isinstance(first, (list, tuple)):
-        for one, other in zip(first, second, strict=True):
-            assert_equal(one, other)
-    else:
-        np.testing.assert_array_equal(first, second)
 
 
 @pytest.mark.slow
