@@ -8,14 +8,7 @@ import pytest
 import handover_marl
 from handover_marl.givers.reactions import CooperativeGiver
 from tests.envs.test_handover_env import START
-
-
-class ScribblingGiver(CooperativeGiver):
-    def act(self, observation: dict[str, np.ndarray]) -> np.ndarray:
-        action = np.array(super().act({key: value.copy() for key, value in observation.items()}))
-        for value in observation.values():
-            value[...] = 0.0
-        return action
+from tests.episode.test_play import ScribblingGiver
 
 
 def rollout(giver: type[CooperativeGiver]) -> list[dict[str, np.ndarray]]:
