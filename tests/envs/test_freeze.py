@@ -41,8 +41,7 @@ def test_benchmark_view_equals_the_two_agent_world(fake_data: Path) -> None:
     mine, _ = view.reset(seed=1, options={"scene_id": 9})
     theirs, _ = world.reset(seed=1, options={"scene_id": 9})
     for _ in range(5):
-        for key, value in mine["receiver"].items():
-            np.testing.assert_array_equal(value, theirs["receiver"][key])
+        assert_equal(mine["receiver"], theirs["receiver"])
         mine = view.step({"receiver": START})[0]
         theirs = world.step({"receiver": START, "giver": REPLAY})[0]
 

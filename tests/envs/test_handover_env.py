@@ -102,6 +102,7 @@ def test_infos_and_timeout(fake_data: Path) -> None:
     [
         (both(START[:8]), r"shape \(8,\).*expected \(9,\)"),
         (both(np.where(np.arange(9) == 4, np.nan, START)), "component 4 is nan"),
+        (both([1e300, *[0.0] * 8]), "component 0 is inf"),
         (both(START, np.full(8, np.nan)), "giver"),
         (START, "must be a dict by agent"),
     ],
