@@ -265,9 +265,7 @@ def judge_steps(
 def _is_uneventful(before: RefereeState, contacts: RolloutContacts) -> bool:
     """Return whether only the time limit can end episodes: nothing is released, and the robot touches nothing."""
     return not (
-        (before.release_reason >= 0).any()
-        or contacts.robot_touches_object.any()
-        or contacts.robot_touches_hand.any()
+        (before.release_reason >= 0).any() or contacts.robot_touches_object.any() or contacts.robot_touches_hand.any()
     )
 
 
