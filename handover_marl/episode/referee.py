@@ -224,7 +224,7 @@ def judge_steps(
     xp = get_namespace(before.steps)
     n_steps = len(contacts.robot_touches_hand)
     # Reading tensors of a GPU takes more time than the rules.
-    if not is_tensor(before.steps) and _is_uneventful(before, contacts, config):
+    if not is_tensor(before.steps) and _is_uneventful(before, contacts):
         return _judge_time_limit(before, n_steps, config)
     indices = xp.cumsum(xp.ones_like(contacts.robot_touches_hand, dtype=xp.int64), axis=0) - 1
     left, right = contacts.in_grasp_region[..., 0], contacts.in_grasp_region[..., 1]
@@ -262,13 +262,10 @@ def judge_steps(
     )
 
 
-def _is_uneventful(before: RefereeState, contacts: RolloutContacts, config: ProtocolConfig) -> bool:
+def _is_uneventful(before: RefereeState, contacts: RolloutContacts) -> bool:
     """Return whether only the time limit can end episodes: nothing is released, and the robot touches nothing."""
     return not (
-        (before.release_reason >= 0).any()
-        or contacts.robot_touches_object.any()
-        or contacts.robot_touches_hand.any()
-        or min(config.release_steps, config.success_steps) < 1
+        (before.release_reason >= 0).any() or contacts.robot_touches_object.any() or contacts.robot_touches_hand.any()
     )
 
 

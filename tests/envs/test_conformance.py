@@ -4,7 +4,6 @@ import pickle
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test
@@ -15,6 +14,7 @@ from handover_marl import encode, flatten, freeze
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.wrappers.wrapper import EpisodeReturns, SingleAgentEnv
 from tests.envs.test_foreign_wrappers import Cost
+from tests.equality import assert_equal
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::UserWarning")]
 
@@ -68,25 +68,13 @@ def rollout(env: Any, seed: int) -> list[Any]:
     return found
 
 
-def assert_same(first: Any, second: Any) -> None:
-    """Check that nested containers have the same keys, and that all their arrays and numbers are equal."""
-    if isinstance(first, dict):
-        assert first.keys() == second.keys()
-        first, second = list(first.values()), list(second.values())
-    if isinstance(first, (list, tuple)):
-        for one, other in zip(first, second, strict=True):
-            assert_same(one, other)
-    else:
-        np.testing.assert_array_equal(first, second)
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_episodes_repeat_from_the_first_seed_and_in_copies(kind: str) -> None:
     env = KINDS[kind]()
     copy = pickle.loads(pickle.dumps(env))
     first = rollout(env, 3)
-    assert_same(first, rollout(copy, 3))
+    assert_equal(first, rollout(copy, 3))
     if kind == "giver":
         # The partner draws other random numbers in the second episode.
         with pytest.raises(AssertionError):
-            assert_same(first[:4], first[4:])
+            assert_equal(first[:4], first[4:])

@@ -13,6 +13,7 @@ from handover_marl.episode.observations import Observation
 from handover_marl.errors import ActionError, OptionError, PolicyError, ResetNeededError, UnknownNameError
 from handover_marl.givers import Action, Giver, make_giver_action
 from tests.envs.test_handover_env import REPLAY, START
+from tests.equality import assert_equal
 
 SYNTHETIC: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "split": "val"}
 pytestmark = [
@@ -32,20 +33,6 @@ def frozen(data: Path, agent: str = "receiver", partner: Any = None, **options: 
     return freeze(parallel_env(data_dir=data, **options), agent, partner)
 
 
-def assert_equal(first: Any, second: Any) -> None:
-    """Check that nested containers have the same types and keys, and that all their arrays and numbers are equal."""
-    assert type(first) is type(second)
-    if isinstance(first, dict):
-        assert first.keys() == second.keys()
-        for key in first:
-            assert_equal(first[key], second[key])
-    elif isinstance(first, (list, tuple)):
-        for one, other in zip(first, second, strict=True):
-            assert_equal(one, other)
-    else:
-        np.testing.assert_array_equal(first, second)
-
-
 @pytest.mark.slow
 def test_benchmark_view_equals_the_two_agent_world(fake_data: Path) -> None:
     view = handover_marl.benchmark_env(split="val", data_dir=fake_data)
@@ -54,8 +41,7 @@ def test_benchmark_view_equals_the_two_agent_world(fake_data: Path) -> None:
     mine, _ = view.reset(seed=1, options={"scene_id": 9})
     theirs, _ = world.reset(seed=1, options={"scene_id": 9})
     for _ in range(5):
-        for key, value in mine["receiver"].items():
-            np.testing.assert_array_equal(value, theirs["receiver"][key])
+        assert_equal(mine["receiver"], theirs["receiver"])
         mine = view.step({"receiver": START})[0]
         theirs = world.step({"receiver": START, "giver": REPLAY})[0]
 

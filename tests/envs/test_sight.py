@@ -8,6 +8,7 @@ import pytest
 import handover_marl
 from handover_marl.errors import ResetNeededError
 from handover_marl.receivers import Receiver
+from tests.equality import assert_equal
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
 OPTIONS: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "control_period": 0.15, "scenes": (5, 6)}
@@ -41,14 +42,6 @@ def rollout(steps: int = 8, seed: int = 3, looks: bool = False, **options: Any) 
     return seen
 
 
-def assert_same(first: list[dict[str, np.ndarray]], second: list[dict[str, np.ndarray]]) -> None:
-    assert len(first) == len(second)
-    for one, other in zip(first, second, strict=True):
-        assert one.keys() == other.keys()
-        for key, value in one.items():
-            np.testing.assert_array_equal(value, other[key], err_msg=key)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("data", KEYS)
 def test_what_is_seen_is_in_the_space(data: str) -> None:
@@ -69,8 +62,8 @@ def test_what_is_seen_is_in_the_space(data: str) -> None:
 def test_whole_rollouts_repeat_whoever_looks() -> None:
     first, noisy = rollout(), rollout(camera_noise="realsense")
     assert max(float(seen["wrist_point_counts"][0]) for seen in first) > 50
-    assert_same(first, rollout(looks=True))
-    assert_same(noisy, rollout(camera_noise="realsense", looks=True))
+    assert_equal(first, rollout(looks=True))
+    assert_equal(noisy, rollout(camera_noise="realsense", looks=True))
     assert any(
         not np.array_equal(one["wrist_object_points"], two["wrist_object_points"])
         for one, two in zip(first, noisy, strict=True)
@@ -81,7 +74,7 @@ def test_whole_rollouts_repeat_whoever_looks() -> None:
 def test_looking_changes_nothing_else() -> None:
     blind = rollout(3, obs_mode="state", physics="exact")
     seeing = rollout(3, physics="exact", renderer="bullet", looks=True)
-    assert_same(blind, [{key: value for key, value in seen.items() if key not in POINTCLOUD} for seen in seeing])
+    assert_equal(blind, [{key: value for key, value in seen.items() if key not in POINTCLOUD} for seen in seeing])
 
 
 def test_episodes_draw_noise_of_their_own() -> None:

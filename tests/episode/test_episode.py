@@ -81,12 +81,20 @@ def test_voluntary_release(episode: Episode) -> None:
     episode.advance(START, HELD - 100)
     assert episode.object_offered is True
     assert episode.contacts.both_fingers_touch is False
+    before, moved = episode.observe(), NO_DEVIATION.copy()
+    shift = moved[1:4] = np.float32([0.1, -0.15, 0.05])
+    episode.advance(START, 1200, moved)
+    after = episode.observe()
+    np.testing.assert_allclose(after["hand_keypoints"] - before["hand_keypoints"], np.tile(shift, (16, 1)), atol=5e-3)
+    np.testing.assert_allclose(after["object_poses"][0, :3] - before["object_poses"][0, :3], shift, atol=5e-3)
+    np.testing.assert_allclose(after["object_poses"][1:], before["object_poses"][1:], atol=1e-4)
+    episode.advance(START, 1200)
     height = episode.world.read_object_joints()[0, 2]
     episode.advance(START, 1, RELEASE)
-    assert (episode.release_reason, episode.release_step) == (ReleaseReason.VOLUNTARY, HELD)
+    assert (episode.release_reason, episode.release_step) == (ReleaseReason.VOLUNTARY, HELD + 2400)
     assert episode.object_offered is False
     episode.advance(START, 100, RELEASE)
-    assert episode.release_step == HELD
+    assert episode.release_step == HELD + 2400
     assert episode.world.read_object_joints()[0, 2] < height - 0.02, "the object falls"
     assert not episode.observe_giver(episode.observe())["deviation"].any()
     episode.advance(START, 2000)

@@ -8,10 +8,17 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from handover_marl.episode.giver_motion import NEVER, NO_DEVIATION, GiverMotion, find_pick_up_frame, find_wrist_in_base
+from handover_marl.episode.giver_motion import (
+    NEVER,
+    NO_DEVIATION,
+    find_pick_up_frame,
+    find_wrist_in_base,
+    requests_release,
+)
 from handover_marl.episode.wrist_offset import move_with_wrists
-from handover_marl.simulation.reference_tracking import ReferenceMotion
-from tests.episode.one_giver import CONFIG, COUNT, SCENES, OneGiver
+from handover_marl.geometry.kinematic_tree import compute_link_trajectory
+from handover_marl.simulation.reference_tracking import WRIST_LINK, ReferenceMotion
+from tests.episode.one_giver import CONFIG, SCENES, OneGiver
 
 SCENE = SCENES[0]
 
@@ -58,6 +65,20 @@ def test_zero_is_the_recording_to_the_bit() -> None:
     rows = np.minimum(np.arange(1, 238 + SCENE.n_frames), SCENE.n_frames - 1)
     np.testing.assert_array_equal(np.concatenate([piece.objects for piece in pieces]), SCENE.object_dof[rows])
     np.testing.assert_array_equal(np.concatenate([piece.hand for piece in pieces]), SCENE.hand_dof[rows])
+    assert not NO_DEVIATION.any()
+    assert not NO_DEVIATION.flags.writeable
+    np.testing.assert_array_equal(requests_release(np.repeat([[0.0], [0.5], [0.6], [1.0]], 8, axis=1)), [0, 0, 1, 1])
+
+
+def test_a_reset_starts_at_the_first_frame() -> None:
+    played, scene = held(), replace(SCENE, hand_first=1)
+    first = played.motion.reset(0, scene)
+    np.testing.assert_array_equal(first.objects, scene.object_dof[:1])
+    np.testing.assert_array_equal(first.hand, scene.hand_dof[:1])
+    assert first.hand_present.tolist() == [False]
+    *state, angles = (values[0] for values in played.motion.state)
+    assert not any(values.any() for values in state)
+    np.testing.assert_array_equal(angles, [scene.hand_dof[0, 3:6], scene.object_dof[0, 0, 3:]])
 
 
 @settings(max_examples=10)
@@ -87,6 +108,7 @@ def test_deviations_come_at_a_human_pace_and_without_jumps() -> None:
         rows.append(advance(played, 1500, action(shift=(0.3, -0.3, 0.3), turn=turn)))
     moved = np.concatenate([wrist(motion) for motion in rows])
     assert np.linalg.norm(np.diff(moved, axis=0), axis=1).max() <= CONFIG.speed * 0.001 + 1e-6
+    np.testing.assert_array_equal(played.motion.state.angles[0], [rows[-1].hand[-1, 3:6], rows[-1].objects[-1, 0, 3:]])
     for part in ("hand", "objects"):
         dof = np.concatenate([getattr(motion, part).reshape(len(motion.hand), -1)[:, :6] for motion in rows])
         _, turns = pose(dof)
@@ -99,13 +121,25 @@ def test_the_object_deviates_from_the_pick_up_on_however_steps_are_divided() -> 
     lift, displaced = find_pick_up_frame(SCENE), action(shift=(0.2, 0, 0))
     at_once, in_parts = playback(), playback()
     for played in (at_once, in_parts):
-        advance(played, lift - 50)
-    around = advance(at_once, 100, displaced)
-    np.testing.assert_allclose(around.objects[:50], SCENE.object_dof[lift - 49 : lift + 1], atol=1e-6)
+        advance(played, lift - 60)
+        assert not played.holding
+        # Nothing deviates if the object is picked up with the last of the steps.
+        np.testing.assert_array_equal(advance(played, 10, displaced).objects, SCENE.object_dof[lift - 59 : lift - 49])
+    until = at_once.plan(50, displaced)
+    np.testing.assert_array_equal(until.objects, SCENE.object_dof[lift - 49 : lift + 1])
+    at_once.commit(49)
+    assert not at_once.holding
+    assert not at_once.motion.state.has_deviated[0]
+    around = advance(at_once, 51, displaced)
+    np.testing.assert_allclose(around.objects[:1], SCENE.object_dof[lift : lift + 1], atol=1e-6)
     assert around.objects[-1, 0, 0] > SCENE.object_dof[lift + 50, 0, 0] + 0.001
-    parts = [advance(in_parts, steps, displaced) for steps in (30, 1, 25, 44)]
-    np.testing.assert_allclose(np.concatenate([part.objects for part in parts]), around.objects, atol=1e-6)
-    assert at_once.holding
+    parts = [advance(in_parts, steps, displaced) for steps in (49, 1)]
+    assert in_parts.holding, "the frame of the pick-up is played"
+    parts += [advance(in_parts, steps, displaced) for steps in (6, 44)]
+    np.testing.assert_allclose(np.concatenate([part.objects for part in parts])[49:], around.objects, atol=1e-6)
+    np.testing.assert_array_equal(
+        advance(in_parts, 1, displaced, released=True).objects[0], SCENE.object_dof[lift + 51]
+    )
 
 
 def test_angles_continue_without_a_jump_near_gimbal_lock() -> None:
@@ -135,11 +169,8 @@ def test_the_preview_shows_what_comes() -> None:
     np.testing.assert_allclose(seen[:, :3], place, atol=1e-6)
     assert (Rotation.from_quat(seen[:, 3:]) * turn.inv()).magnitude().max() < 1e-5
     np.testing.assert_array_equal(preview(10**6)[0], np.tile(preview(10**6)[0][0], (5, 1)))
-    np.testing.assert_allclose(
-        preview(1000)[0][:, :3],
-        compute_wrist_positions(SCENE.hand_dof, find_wrist_in_base(SCENE))[1000 + ahead],
-        atol=1e-6,
-    )
+    wrists = compute_link_trajectory(SCENE.assets.hand, SCENE.hand_dof[1000 + ahead].astype(float))[0][:, WRIST_LINK]
+    np.testing.assert_allclose(preview(1000)[0][:, :3], wrists, atol=1e-6)
 
 
 def test_the_preview_has_zeros_without_a_hand() -> None:
@@ -196,6 +227,9 @@ def test_the_object_is_picked_up_beyond_five_millimetres() -> None:
         moved = dof.copy()
         moved[:, 0, 1] = np.array(path) / 1000
         assert find_pick_up_frame(replace(SCENE, object_dof=moved)) == expected
+    moved = dof.copy()
+    moved[1:, 0, 1] = 0.25, 0.25, 0.5
+    assert find_pick_up_frame(replace(SCENE, object_dof=moved), 0.25) == 3, "not at the distance itself"
 
 
 @settings(max_examples=20)
@@ -229,10 +263,3 @@ def test_an_opening_hand_opens_evenly() -> None:
     fingers = np.concatenate([part.hand[:, 6:] for part in parts])
     np.testing.assert_allclose(fingers, (1.0 - CONFIG.opening * opened[:, None]) * before[6:], atol=1e-6)
     np.testing.assert_array_equal(np.concatenate([part.hand[:, :6] for part in parts]), np.tile(before[:6], (500, 1)))
-
-
-def start() -> GiverMotion:
-    motion = GiverMotion(COUNT, CONFIG)
-    for row, scene in enumerate(SCENES):
-        motion.reset(row, scene)
-    return motion

@@ -9,12 +9,9 @@ from gymnasium import spaces
 
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.observations import (
-    PROPRIOCEPTION,
     giver_observation_space,
     observe,
     observe_giver_motion,
-    receiver_observation_space,
-    select_receiver_observation,
     state_space,
 )
 from handover_marl.simulation.world import WorldState
@@ -63,17 +60,6 @@ def test_spaces_have_the_documented_shapes_and_bounds() -> None:
         assert bounds(space) == {key: BOUNDS.get(key, (-np.inf, np.inf)) for key in shapes}
     assert bounds(state_space(30))["object_classes"] == (0.0, 30.0)
     assert bounds(giver_observation_space(largest_class=30))["object_classes"] == (0.0, 30.0)
-
-
-def test_receivers_observe_the_parts_of_their_mode() -> None:
-    assert receiver_observation_space().keys() == SHAPES.keys()
-    cloud = {"wrist_object_points", "wrist_hand_points", "wrist_point_counts"}
-    assert receiver_observation_space("pointcloud").keys() == {*PROPRIOCEPTION, *cloud}
-    assert receiver_observation_space("state+pointcloud").keys() == {*SHAPES, *cloud}
-    state = observe(make_state(True), (3, 11), False, 0.0)
-    camera = {"wrist_depth": np.zeros(1)}
-    assert select_receiver_observation(state, camera, "rgbd").keys() == {*PROPRIOCEPTION, "wrist_depth"}
-    assert select_receiver_observation(state, camera, "state+rgbd").keys() == {*SHAPES, "wrist_depth"}
 
 
 @pytest.mark.parametrize("with_hand", [True, False])

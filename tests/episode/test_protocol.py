@@ -101,7 +101,7 @@ def test_human_contact_counts_at_any_time() -> None:
     [
         (Contacts(object_supported=True, object_height=1.0), True),
         (Contacts(object_height=0.919), True),
-        (Contacts(object_height=0.93), False),
+        (Contacts(object_height=CONFIG.drop_height), False),
         (ONE_FINGER._replace(object_supported=True, object_height=1.0), True),
         (GRASP._replace(object_supported=True, object_height=0.5), False),
     ],
@@ -134,10 +134,13 @@ def test_bits_are_those_of_handoversim() -> None:
     bits = {status.name: status.value for status in EpisodeStatus}
     assert bits == {"SUCCESS": 1, "HUMAN_CONTACT": 2, "OBJECT_DROP": 4, "TIMEOUT": 8}
     assert EpisodeStatus.RUNNING == 0
+    labels = {0: "running", 1: "success", 2: "contact", 4: "drop", 8: "timeout", 6: "contact+drop"}
+    assert {bits: EpisodeStatus(bits).label for bits in labels} == labels
 
 
 def test_referee_reports_the_release_step() -> None:
     referee = Referee(CONFIG)
+    assert referee.get_state() == (0, 0, -1, -1, 0, 0, 0)
     for _ in range(10):
         referee.update(NOTHING)
     for _ in range(100):

@@ -240,7 +240,7 @@ def compute_spectral_arc_length(speed: Array, rate: float) -> float | None:
         speed: (n,) speeds at equal intervals.
         rate: Sampling rate (Hz).
     """
-    if len(speed) == 0 or not np.any(speed):
+    if not np.any(speed):
         return None
     length = 2 ** (int(np.ceil(np.log2(len(speed)))) + _PADDING)
     amplitude = np.abs(np.fft.rfft(speed, length))

@@ -24,13 +24,13 @@ from handover_marl.episode import episodes
 from handover_marl.errors import ActionError
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, make_tensor_factory, to_numpy
 from handover_marl.geometry.panda import WAITING_JOINTS
-from handover_marl.learning.custom_encodings import declare_size
 from handover_marl.simulation.engines import BatchBackend, make_worlds
 from handover_marl.simulation.reference_tracking import ReferenceMotion
 from handover_marl.simulation.world import Contacts, JudgeFunction, RolloutContacts, RolloutEnd, WorldState
 from handover_marl.simulation.worlds import Worlds
 from tests.envs.vector.comparison import assert_same
 from tests.fake_device import DEVICE, DeviceTensor, FakeDevice
+from tests.learning.custom import move_first_joint, offset_to_object
 
 COUNT = 4
 OPTIONS: dict[str, Any] = {"setup": "s0", "split": "train", "dataset": "synthetic", "threads": 1, "rewards": "shaped"}
@@ -174,18 +174,6 @@ def test_features_and_action_schemes(
     compare(request, steps, agent, {**ENCODED, "max_cycles": max_cycles, **options})
 
 
-@declare_size(2)
-def count_features(observation: dict[str, Any]) -> np.ndarray:
-    return np.array([observation["time"][0], observation["gripper_pose"][2]], dtype=np.float32)
-
-
-@declare_size(1)
-def move_first_joint(outputs: np.ndarray, observation: dict[str, Any]) -> np.ndarray:
-    target = observation["robot_joint_position"].copy()
-    target[0] += 0.1 * outputs[0]
-    return target
-
-
 def reward_height(transition: Transition) -> dict[str, dict[str, float]]:
     height = float(transition.next_state["gripper_pose"][2] - transition.state["gripper_pose"][2])
     return {"receiver": {"height": height}, "giver": {"steps": 1e-3 * transition.infos["giver"]["steps"]}}
@@ -193,7 +181,7 @@ def reward_height(transition: Transition) -> dict[str, dict[str, float]]:
 
 @pytest.mark.slow
 def test_user_defined_parts_act_on_the_host(request: pytest.FixtureRequest) -> None:
-    options = {"partner": "tired", "features": count_features, "schemes": move_first_joint, "autoreset": "same_step"}
+    options = {"partner": "tired", "features": offset_to_object, "schemes": move_first_joint, "autoreset": "same_step"}
     compare(request, 30, "receiver", {**SHORT, **options, "rewards": combine_rewards((0.5, reward_height), "sparse")})
 
 

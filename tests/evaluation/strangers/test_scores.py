@@ -53,9 +53,11 @@ def test_references_vary_with_the_scenes() -> None:
 
 
 def test_the_worst_partner_is_that_of_the_mean_over_policies_and_scenes() -> None:
-    scores = np.array([[[1.0, 0.0], [0.0, 0.2]], [[0.0, 1.0], [0.6, 0.8]]])
+    scores = np.array([[[1.0, 0.2], [0.0, 0.2]], [[0.6, 1.0], [0.6, 0.8]]])
     assert estimate(compute_worst, scores, None).mean == pytest.approx(0.4)
-    assert estimate(compute_largest, scores, None).mean == pytest.approx(0.5)
+    assert estimate_rate(compute_worst, scores, None).mean == pytest.approx(0.4)
+    assert estimate_difference(compute_worst, scores, scores[:1], None).mean == pytest.approx(0.4 - 0.1)
+    assert estimate(compute_largest, scores, None).mean == pytest.approx(0.7)
     assert estimate(compute_worst_proximity, scores, None, np.full((2, 2), 0.8)).mean == pytest.approx(0.5)
 
 
@@ -66,6 +68,9 @@ def test_rates_with_a_single_partner_have_wilson_intervals_of_its_episodes(count
     assert found.interval_95 == pytest.approx(compute_wilson_interval(count, 12), abs=1e-12)
     found = estimate_rate(compute_mean, flags, ["a"] * 9 + ["b"] * 9)
     assert found.interval_95 == pytest.approx(compute_wilson_interval(count * 18, 216), abs=1e-12)
+    found = estimate_rate(compute_mean, np.ones((1, 1, 13)), None)
+    assert found.interval_95 is not None
+    assert found.interval_95[1] == 1.0, "rounding does not lead beyond 1"
 
 
 def test_proximities() -> None:
@@ -91,6 +96,9 @@ def test_intervals_cover_trainings_and_partners_unless_they_are_fixed() -> None:
     assert measure_width(scores, None) == pytest.approx(0.0)
     # Partners of a single family vary one by one.
     assert measure_width(scores, ["a", "a", "a"]) == measure_width(scores, ["a", "b", "c"]) > 0.5
+    # Means 0.5 and 0.51 of two families have a standard error of half their difference, and one degree of freedom.
+    scores = np.repeat([0.49, 0.51, 0.51], [1, 1, 2])[None, :, None] * np.ones((1, 4, 50))
+    assert measure_width(scores, ["a", "a", "b", "b"]) == pytest.approx(2 * 0.005 * scipy.stats.t.ppf(0.975, 1))
 
 
 def test_differences_are_paired_by_scene() -> None:

@@ -1,0 +1,19 @@
+"""Equality of nested results, for tests."""
+
+from typing import Any
+
+import numpy as np
+
+
+def assert_equal(first: Any, second: Any) -> None:
+    """Check that nested containers have the same types and keys, and that all their arrays and numbers are equal."""
+    assert type(first) is type(second)
+    if isinstance(first, dict):
+        assert first.keys() == second.keys()
+        for key in first:
+            assert_equal(first[key], second[key])
+    elif isinstance(first, (list, tuple)) or (isinstance(first, np.ndarray) and first.dtype == object):
+        for one, other in zip(first, second, strict=True):
+            assert_equal(one, other)
+    else:
+        np.testing.assert_array_equal(first, second, strict=True)
