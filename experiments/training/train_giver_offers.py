@@ -69,7 +69,7 @@ class Args(SetupArgs):
 
     out: Path = Path("runs/offers")
     seed: int = 0
-    receivers: tuple[str, ...] = ("yang2021",)
+    receivers: tuple[str, ...] = ("yang2021:close_decision_period=0.1",)
     episodes: int = 50_000
     round_episodes: int = 2_048
     num_envs: int = 256

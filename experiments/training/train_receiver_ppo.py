@@ -53,7 +53,7 @@ class Args(RlArgs):
     features: str = "close"
     decisions: int = 12_288
     minutes: float = 30.0
-    num_envs: int = 64
+    num_envs: int = 128
     workers: int = 2
     backend: str = THREADS
     device: str = CPU

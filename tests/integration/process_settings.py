@@ -93,12 +93,25 @@ def play(reference: str, giver: str, physics: str, steps: int) -> str:
     return digest.hexdigest()[:16]
 
 
+def apply(module: torch.nn.Module) -> str:
+    """Apply a user's module as a policy and as the policy file made of it, and return a hash of the outputs."""
+    from handover_marl.learning.adapters.function_policy import TorchFunction
+    from handover_marl.learning.adapters.modules import dense_network_from_module
+
+    inputs = np.linspace(-1.0, 1.0, 30, dtype=np.float32)
+    outputs = TorchFunction(module)(inputs), dense_network_from_module(module)(inputs)
+    return hashlib.sha256(b"".join(one.tobytes() for one in outputs)).hexdigest()[:16]
+
+
 def main(has_settings: bool, steps: int) -> None:
+    torch.manual_seed(3)
+    module = torch.nn.Sequential(torch.nn.Linear(30, 50), torch.nn.Tanh(), torch.nn.Linear(50, 4))
     if has_settings:
         for change in SETTINGS:
             change()
     before = read_generators()
     found = {" ".join(one): play(one[1], one[2], one[0], steps) for one in EPISODES}
+    found["module"] = apply(module)
     if read_generators() != before:
         raise SystemExit("a global random generator has changed")
     print("hashes:", json.dumps(found))
