@@ -54,6 +54,7 @@ class LeRobotEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
                 **({"environment_state": _unbounded(inner)} if ENVIRONMENT_KEYS[0] in inner.spaces else {}),
             }
         )
+        self._has_state = "environment_state" in self.observation_space.spaces
         self._image = np.zeros(inner["wrist_rgb"].shape, np.uint8)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Any]:
@@ -80,7 +81,7 @@ class LeRobotEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     def _rename(self, observation: Observation) -> Observation:
         self._image = observation["wrist_rgb"]
         found = {"pixels": {"wrist": self._image}, "agent_pos": observation["robot_joint_position"]}
-        if "environment_state" in self.observation_space.spaces:
+        if self._has_state:
             found["environment_state"] = np.concatenate([observation[key].ravel() for key in ENVIRONMENT_KEYS])
         return found
 
