@@ -15,6 +15,7 @@ from gymnasium import spaces
 import handover_marl
 from handover_marl import EpisodeStatus
 from handover_marl.config import TIME_STEP, ProtocolConfig
+from handover_marl.episode.spaces import has_state
 from handover_marl.evaluation.demonstrations.convert import ENVIRONMENT_KEYS, describe_task
 
 FPS = 20
@@ -46,15 +47,12 @@ class LeRobotEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self.task, self.task_description = task, ""
         self._max_episode_steps = round(ProtocolConfig().horizon_steps * TIME_STEP * fps)
         self.action_space = self._env.action_space
-        inner = self._env.observation_space
-        self.observation_space = spaces.Dict(
-            {
-                "pixels": spaces.Dict({"wrist": inner["wrist_rgb"]}),
-                "agent_pos": inner["robot_joint_position"],
-                **({"environment_state": _unbounded(inner)} if ENVIRONMENT_KEYS[0] in inner.spaces else {}),
-            }
-        )
-        self._has_state = "environment_state" in self.observation_space.spaces
+        inner, self._has_state = self._env.observation_space, has_state(obs_mode)
+        found = {"pixels": spaces.Dict({"wrist": inner["wrist_rgb"]}), "agent_pos": inner["robot_joint_position"]}
+        if self._has_state:
+            state = spaces.Dict({key: inner[key] for key in ENVIRONMENT_KEYS})
+            found["environment_state"] = spaces.Box(-np.inf, np.inf, (spaces.flatdim(state),), np.float32)
+        self.observation_space = spaces.Dict(found)
         self._image = np.zeros(inner["wrist_rgb"].shape, np.uint8)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Any]:
@@ -100,8 +98,3 @@ def make_env(
     kind = gymnasium.vector.AsyncVectorEnv if use_async_envs else gymnasium.vector.SyncVectorEnv
     envs = kind([lambda: LeRobotEnv(**given)] * n_envs, autoreset_mode=gymnasium.vector.AutoresetMode.SAME_STEP)
     return {"handover": {0: envs}}
-
-
-def _unbounded(space: spaces.Dict) -> spaces.Box:
-    size = sum(int(np.prod(space[key].shape or ())) for key in ENVIRONMENT_KEYS)
-    return spaces.Box(-np.inf, np.inf, (size,), np.float32)

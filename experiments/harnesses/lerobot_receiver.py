@@ -1,9 +1,12 @@
-"""Receiver that acts by a trained policy of LeRobot; it needs LeRobot in the same environment.
+"""Receiver that acts by a trained policy of LeRobot.
 
-cd experiments/harnesses
-handover-marl benchmark --setup s0 --receiver lerobot_receiver:LeRobotReceiver:path=FOLDER/pretrained_model
+    cd experiments/harnesses
+    handover-marl benchmark --setup s0 --receiver lerobot_receiver:LeRobotReceiver:folder=CHECKPOINT/pretrained_model
+
+It needs LeRobot in the same environment.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +17,7 @@ from lerobot.policies.factory import get_policy_class, make_pre_post_processors
 from lerobot_env import FPS
 
 from handover_marl.episode.observations import Observation
+from handover_marl.evaluation.demonstrations.convert import describe_task
 from handover_marl.receivers import PolicyContext, Receiver
 
 
@@ -22,19 +26,25 @@ class LeRobotReceiver(Receiver):
 
     Args:
         context: Robot, task and known grasps of the objects; not used.
-        path: Folder with the trained policy, `pretrained_model` of a checkpoint.
+        folder: Folder with the trained policy, `pretrained_model` of a checkpoint.
     """
 
     name, control_period, obs_mode = "lerobot", 1.0 / FPS, "rgb"
+    file_options = ("folder",)
 
-    def __init__(self, context: PolicyContext, path: str) -> None:
+    def __init__(self, context: PolicyContext, folder: str) -> None:
         super().__init__(context)
-        folder = Path(path).resolve()
-        config = PreTrainedConfig.from_pretrained(folder)
+        path = Path(folder).resolve()
+        config = PreTrainedConfig.from_pretrained(path)
         config.device = "cpu"
-        self._policy = get_policy_class(config.type).from_pretrained(folder, config=config)
+        self._policy = get_policy_class(config.type).from_pretrained(path, config=config)
         self._policy.eval()
-        self._preprocess, self._postprocess = make_pre_post_processors(config, str(folder))
+        self._preprocess, self._postprocess = make_pre_post_processors(config, str(path))
+        self._task = ""
+
+    def prepare(self, object_names: Sequence[str]) -> None:
+        """Store the task in words, with the name of the object that is handed over."""
+        self._task = describe_task(object_names[0])
 
     def reset(self, seed: int | None = None) -> None:
         """Start an episode; the seed is that of the policy's random numbers."""
@@ -48,7 +58,7 @@ class LeRobotReceiver(Receiver):
         batch = {
             "observation.images.wrist": image[None],
             "observation.state": torch.from_numpy(observation["robot_joint_position"])[None],
-            "task": ["Take the object from the person's hand."],
+            "task": [self._task],
         }
         action = self._postprocess(self._policy.select_action(self._preprocess(batch)))
         targets: npt.NDArray[np.float32] = action[0].numpy().astype(np.float32)

@@ -26,7 +26,7 @@ from handover_marl.evaluation.results import (
 )
 from handover_marl.execution.files import shorten_text, write_atomically
 from handover_marl.execution.options import check_path
-from handover_marl.execution.reading import read_plain_file
+from handover_marl.execution.reading import read_plain_file, report_damage
 from handover_marl.simulation.engines import EXACT, PHYSICS
 
 _MAX_LISTED = 8  # missing scenes that an error lists
@@ -145,9 +145,15 @@ def _write_merged(metadata: ResultMetadata, files: dict[int, Path], out: Path) -
         for recording in find_recordings(folder):
             copy = out / recording.relative_to(folder)
             copy.parent.mkdir(exist_ok=True)
-            write_atomically(copy, read_plain_file(recording))
+            _copy_file(recording, copy)
     for index, file in files.items():
-        write_atomically(get_result_path(out, index), read_plain_file(file))
+        _copy_file(file, get_result_path(out, index))
     report = evaluate(out)
     write_report(out, report)
     return report
+
+
+def _copy_file(source: Path, target: Path) -> None:
+    with report_damage(source, "result or recording", "remove it and evaluate its scene again"):
+        content = read_plain_file(source)
+    write_atomically(target, content)
