@@ -55,7 +55,7 @@ class LowestCostGraspSelector:
         self._selected, self._clearances = arrays.zeros((count, 7)), arrays.zeros(count)
         self._exists = arrays.zeros(count, "bool")
         # Grasps (c, g, 7) and their z axes (c, g, 3).
-        self._table = GraspTable(functools.partial(_load_grasps, context), arrays)
+        self._table = GraspTable(functools.partial(load_known_grasps, context), arrays)
 
     def select(self, rows: AnyArray, observation: Observation) -> tuple[AnyArray, AnyArray, AnyArray]:
         """Select a grasp of the object to hand over in each of r episodes.
@@ -101,21 +101,13 @@ class LowestCostGraspSelector:
         gripper = compose(invert_pose(object_poses), xp.astype(observation["gripper_pose"][known], xp.float64))
         index = index[known]
         grasps = self._table.arrays[0][index]
-        costs = self._compute_motion_costs(grasps, gripper)
+        costs = compute_motion_costs(grasps, gripper, self.rotation_weight)
         costs[~self._table.is_grasp[index]] = xp.inf
         joints = inverse_transform_points(object_poses[:, None], observation["hand_keypoints"][known])
         present = observation["hand_present"][known, 0] != 0.0
         best, clearances = self._find_best(costs, index, joints, present)
         self._selected[rows[known]] = compose(object_poses, grasps[self._arrays.arange(len(known)), best])
         self._clearances[rows[known]] = clearances
-
-    def _compute_motion_costs(self, grasps: AnyArray, gripper: AnyArray) -> AnyArray:
-        """Return the costs (r, g) in m of moving grippers (r, 7) to grasps (r, g, 7), both in the objects' frames."""
-        xp = get_namespace(grasps)
-        x, y, z, w = (grasps[..., 3 + axis] * gripper[:, None, 3 + axis] for axis in range(4))
-        angles = 2.0 * xp.acos(xp.abs(x + y + z + w).clip(None, 1.0))
-        x, y, z = (grasps[..., axis] - gripper[:, None, axis] for axis in range(3))
-        return xp.sqrt(x * x + y * y + z * z) + self.rotation_weight * angles
 
     def _find_best(
         self, costs: AnyArray, index: AnyArray, joints: AnyArray, present: AnyArray
@@ -139,7 +131,8 @@ class LowestCostGraspSelector:
             bound = xp.inf if candidates >= number else costs[left, order[:, candidates]]
             # Of equally good grasps, the first one counts.
             some = xp.sort(order[:, :candidates], axis=1, stable=False)
-            distances = self._compute_clearances(index[left], some, joints[left])
+            origins, axes = (array[index[left, None], some] for array in self._table.arrays)
+            distances = compute_clearances(origins, axes, joints[left])
             distances[~present[left]] = MAX_CLEARANCE
             missing = (self.desired_clearance - distances).clip(0.0)
             totals = costs[left[:, None], some] + self.clearance_weight * missing
@@ -152,15 +145,30 @@ class LowestCostGraspSelector:
             candidates = number
         return best, clearances
 
-    def _compute_clearances(self, index: AnyArray, grasps: AnyArray, joints: AnyArray) -> AnyArray:
-        """Return the distances (r, k) in m of the nearest of joints (r, 16, 3) of a hand to the gripper at k grasps."""
-        xp = get_namespace(joints)
-        origins, axes = (array[index[:, None], grasps] for array in self._table.arrays)
-        x, y, z = (joints[:, None, :, axis] - origins[..., None, axis] for axis in range(3))
-        u, v, w = (axes[..., None, axis] for axis in range(3))
-        along = (x * u + y * v + z * w).clip(BACK_Z, TIP_Z)
-        x, y, z = x - along * u, y - along * v, z - along * w
-        return xp.sqrt(xp.min(x * x + y * y + z * z, axis=-1)).clip(None, MAX_CLEARANCE)
+
+def compute_motion_costs(grasps: AnyArray, gripper: AnyArray, rotation_weight: float) -> AnyArray:
+    """Return the costs (r, g) in m of moving grippers (r, 7) to grasps (r, g, 7), both in the objects' frames."""
+    xp = get_namespace(grasps)
+    x, y, z, w = (grasps[..., 3 + axis] * gripper[:, None, 3 + axis] for axis in range(4))
+    angles = 2.0 * xp.acos(xp.abs(x + y + z + w).clip(None, 1.0))
+    x, y, z = (grasps[..., axis] - gripper[:, None, axis] for axis in range(3))
+    return xp.sqrt(x * x + y * y + z * z) + rotation_weight * angles
+
+
+def compute_clearances(origins: AnyArray, axes: AnyArray, joints: AnyArray) -> AnyArray:
+    """Return the distances (r, k) in m of the nearest joint of a person's hand to the gripper's axis at k grasps.
+
+    Args:
+        origins: Positions (r, k, 3) of the hand link in the frames of the objects (m).
+        axes: Directions (r, k, 3) of the hand link's z axes.
+        joints: Joints (r, 16, 3) of the persons' hands (m).
+    """
+    xp = get_namespace(joints)
+    x, y, z = (joints[:, None, :, axis] - origins[..., None, axis] for axis in range(3))
+    u, v, w = (axes[..., None, axis] for axis in range(3))
+    along = (x * u + y * v + z * w).clip(BACK_Z, TIP_Z)
+    x, y, z = x - along * u, y - along * v, z - along * w
+    return xp.sqrt(xp.min(x * x + y * y + z * z, axis=-1)).clip(None, MAX_CLEARANCE)
 
 
 def _sort_by_cost(costs: AnyArray, place: int) -> AnyArray:
@@ -169,7 +177,7 @@ def _sort_by_cost(costs: AnyArray, place: int) -> AnyArray:
 
 
 @functools.lru_cache(maxsize=1024)
-def _load_grasps(context: PolicyContext, object_class: int) -> tuple[Array, Array] | None:
+def load_known_grasps(context: PolicyContext, object_class: int) -> tuple[Array, Array] | None:
     """Return poses (n, 7) and z axes (n, 3) of the hand link at a class's grasps and their half turns, in its frame."""
     poses = load_hand_poses(context.grasps, context.object_names[object_class])
     if poses is None:
