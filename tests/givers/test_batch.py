@@ -28,6 +28,7 @@ NAMES = (
     "interrupting",
     "recording_spread",
     "tired",
+    "adaptive:offers=8",
     "cooperative:approach_share=0.5,min_distance=0.3,max_displacement=0.1,max_rotation=0.3,rate=0.5,withdrawal=0.3",
 )
 

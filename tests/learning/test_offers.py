@@ -1,0 +1,97 @@
+"""Tests of the features from which a giver predicts the success of an offer."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.episode.observations import Observation, add_episode_axis
+from handover_marl.geometry.poses import compose, inverse_transform_points, invert_pose, transform_points
+from handover_marl.learning.offers import (
+    N_OFFER_FEATURES,
+    compute_offer_features,
+    compute_offer_scores,
+    compute_offered_poses,
+    draw_offers,
+)
+from handover_marl.receivers import make_policy_context
+from tests.givers.test_givers import seen
+from tests.learning.grasps import select_grasp
+from tests.learning.test_schemes import handover_action
+
+CONTEXT = make_policy_context(SyntheticDataset())
+seeds = st.integers(0, 1000)
+
+
+def draw_observation(seed: int) -> Observation:
+    """Return an observation with the fingers 2 to 15 cm from the object, which already is at its handover pose."""
+    rng = np.random.default_rng(seed)
+    item = seen()["object_poses"][0].copy()
+    item[3:] = rng.normal(size=4)
+    item[3:] /= np.linalg.norm(item[3:])
+    directions = rng.normal(size=(16, 3))
+    joints = item[:3] + rng.uniform(0.02, 0.15, (16, 1)) * directions / np.linalg.norm(directions, axis=1)[:, None]
+    poses = np.tile(item, (5, 1))
+    return seen(object_poses=poses, replay_object_poses=poses, hand_keypoints=joints.astype(np.float32))
+
+
+@given(seeds)
+def test_offered_poses_are_those_to_which_the_action_scheme_moves_the_object(seed: int) -> None:
+    observation, offer = draw_observation(seed), draw_offers(np.random.default_rng(seed), 2, 0.5)[1:]
+    action = handover_action(offer[0], **observation).astype(np.float64)
+    wrist = observation["replay_wrist_poses"][-1].astype(np.float64)
+    turn = np.concatenate([wrist[:3] + action[1:4], quaternion(action[4:7])])
+    around = np.concatenate([wrist[:3], [0, 0, 0, 1]])
+    moved = compose(turn, compose(invert_pose(around), observation["replay_object_poses"][-1].astype(np.float64)))
+    (found,) = compute_offered_poses(add_episode_axis(observation), offer)
+    np.testing.assert_allclose(found[:3], moved[:3], atol=1e-5)
+    assert abs(found[3:] @ moved[3:]) == pytest.approx(1.0, abs=1e-6)
+
+
+def quaternion(vector: np.ndarray) -> np.ndarray:
+    half = np.linalg.norm(vector) / 2.0
+    return np.append(np.sinc(half / np.pi) / 2.0 * vector, np.cos(half))
+
+
+@given(seeds)
+def test_the_best_grasp_is_that_of_an_observation_of_the_offered_object(seed: int) -> None:
+    """The hand moves with the object, so clearances are those of the present observation."""
+    observation, offer = draw_observation(seed), draw_offers(np.random.default_rng(seed), 2, 0.5)[1:]
+    features = compute_offer_features(add_episode_axis(observation), offer, CONTEXT)
+    assert features is not None
+    (pose,) = compute_offered_poses(add_episode_axis(observation), offer)
+    joints = transform_points(pose, inverse_transform_points(observation["object_poses"][0], observation["hand_keypoints"]))
+    there = observation | {"object_poses": np.tile(pose, (5, 1)), "hand_keypoints": joints}
+    selected = select_grasp(CONTEXT, there)
+    assert selected is not None
+    grasp, clearance = selected
+    assert features[0, 6] / 10.0 == pytest.approx(clearance, abs=1e-5)
+    np.testing.assert_allclose(features[0, 17:20], grasp[:3], atol=1e-5)
+    # The nearest grasp costs at most as much as any other, and the mean of one grasp is its own clearance.
+    assert features[0, 4] <= features[0, 7] + 1e-6
+    assert features[0, 0] <= 10.0 * clearance + 1e-5 or features[0, 4] >= features[0, 7] - 1e-6
+
+
+def test_features_have_the_documented_number_and_end_with_the_offer() -> None:
+    offers = draw_offers(np.random.default_rng(0), 5, 0.5)
+    features = compute_offer_features(add_episode_axis(draw_observation(0)), offers, CONTEXT)
+    assert features is not None
+    assert features.shape == (5, N_OFFER_FEATURES)
+    assert features.dtype == np.float32
+    np.testing.assert_array_equal(features[:, 29:], offers)
+    assert not offers[0, :6].any()
+    assert np.abs(offers[1:, :6]).all()
+
+
+def test_objects_without_known_grasps_have_no_features() -> None:
+    context = replace(CONTEXT, grasps=lambda name: None)
+    offers = draw_offers(np.random.default_rng(0), 2, 0.5)
+    assert compute_offer_features(add_episode_axis(draw_observation(0)), offers, context) is None
+
+
+def test_the_score_is_the_probability_of_success_times_the_saved_time() -> None:
+    outputs = np.array([[0.0, 0.5], [np.log(3.0), 0.2], [100.0, 2.0], [100.0, -1.0]])
+    np.testing.assert_allclose(compute_offer_scores(outputs), [0.25, 0.6, 0.0, 1.0])
