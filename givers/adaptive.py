@@ -32,10 +32,12 @@ class AdaptiveConfig(CheckedConfig):
     """Configuration of `AdaptiveGiver`.
 
     Attributes:
+        patience: Time without an approach after which the giver varies its handover pose (s).
         offers: Number of random offers of which the best is chosen; 1 is the recorded handover pose.
         spread: Standard deviation of the random offers, relative to the bounds of `HandoverPoseScheme`.
     """
 
+    patience: float = bounded(6.0, 0.0, 60.0)
     offers: int = bounded(256, 1, 10_000)
     spread: float = bounded(0.5, 0.0, 10.0)
 
@@ -89,6 +91,7 @@ class AdaptiveGiver(ArrayGiver):
         super().allocate(count, arrays)
         selector = LowestCostGraspSelector(self.context, count, arrays)
         self._scheme = HandoverPoseScheme(self.context, selector, count, arrays)
+        self._scheme.pose_variation.timeout = self.config.patience
 
     def start(self, row: int, seed: int | None) -> None:
         """Start the episode with index `row`; `seed` determines the random offers."""

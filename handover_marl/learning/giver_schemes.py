@@ -73,6 +73,7 @@ class HandoverPoseScheme(GiverScheme):
         arrival_tolerance: Largest distance that the recorded wrist may still move along an axis when
             outputs are requested (m).
         latest_decision_s: Episode time at which outputs are requested at the latest (s).
+        pose_variation: Variation of the pose if the gripper does not approach.
     """
 
     name, size = "offer", 7
@@ -83,7 +84,7 @@ class HandoverPoseScheme(GiverScheme):
     def allocate(self, context: PolicyContext, count: int) -> None:
         """Create the arrays with the decision in each of n = `count` episodes; the constructor calls this once."""
         arrays = self._arrays
-        self._pose_variation = HandoverPoseVariation(count, arrays)
+        self.pose_variation = HandoverPoseVariation(count, arrays)
         self._decided, self._chosen, self._withdrawn = (arrays.zeros(count, "bool") for _ in range(3))
         self._shift, self._turn, self._withdrawal = (arrays.zeros((count, 3)) for _ in range(3))
 
@@ -92,7 +93,7 @@ class HandoverPoseScheme(GiverScheme):
         super().reset(row)
         self._decided[row] = self._chosen[row] = self._withdrawn[row] = False
         self._shift[row] = self._turn[row] = 0.0
-        self._pose_variation.reset(row)
+        self.pose_variation.reset(row)
 
     def needs_outputs(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return for the r episodes `rows` whether the recorded hand is about to stop, without outputs so far, (r,)."""
@@ -117,8 +118,8 @@ class HandoverPoseScheme(GiverScheme):
         chosen, released = self._chosen[rows], observation["released"][:, 0] != 0.0
         offers = xp.nonzero(chosen & ~released)[0]
         if len(offers):
-            self._pose_variation.update(rows[offers], {key: value[offers] for key, value in observation.items()})
-        scale = self._pose_variation.scale[rows, None]
+            self.pose_variation.update(rows[offers], {key: value[offers] for key, value in observation.items()})
+        scale = self.pose_variation.scale[rows, None]
         displacement, leaves = scale * self._shift[rows], chosen & released
         if leaves.any():
             self._withdraw(rows, observation, leaves & ~self._withdrawn[rows], displacement)
