@@ -68,7 +68,10 @@ class AdaptiveGiver(ArrayGiver):
     def __init__(self, context: PolicyContext, weights: str | None = None, **options: float) -> None:
         path = _SHIPPED if weights is None else Path(weights).expanduser()
         spec, self._network, self._file = read_policy(path, "giver")
-        if spec.features != OFFER_FEATURES or (self._network.n_inputs, self._network.n_outputs) != (N_OFFER_FEATURES, 2):
+        if spec.features != OFFER_FEATURES or (self._network.n_inputs, self._network.n_outputs) != (
+            N_OFFER_FEATURES,
+            2,
+        ):
             raise DataFormatError(
                 f"{path}: weights of giver 'adaptive' must be a file of train_giver_offers.py, got a policy with "
                 f"features {spec.features!r}"

@@ -63,7 +63,9 @@ def test_the_best_grasp_is_that_of_an_observation_of_the_offered_object(seed: in
     features = compute_offer_features(add_episode_axis(observation), offer, CONTEXT)
     assert features is not None
     (pose,) = compute_offered_poses(add_episode_axis(observation), offer)
-    joints = transform_points(pose, inverse_transform_points(observation["object_poses"][0], observation["hand_keypoints"]))
+    joints = transform_points(
+        pose, inverse_transform_points(observation["object_poses"][0], observation["hand_keypoints"])
+    )
     there = observation | {"object_poses": np.tile(pose, (5, 1)), "hand_keypoints": joints}
     selected = select_grasp(CONTEXT, there)
     assert selected is not None
