@@ -236,7 +236,7 @@ class WithdrawingConfig(CheckedConfig):
         max_speed: Speed of the gripper towards the wrist above which the hand withdraws (m/s).
         max_distance: Distance from gripper to wrist beyond which the hand does not withdraw (m).
         withdrawal: Distance by which the hand withdraws (m).
-        return_after: Time after which the hand returns, unless the gripper approaches fast (s).
+        return_after: Time from the last fast approach to the return of the hand (s).
     """
 
     max_speed: float = bounded(0.25, 0.0, 2.0)

@@ -323,7 +323,7 @@ class RecordingSpreadGiver(ArrayGiver):
 
     @property
     def weights_hash(self) -> str:
-        """Hash of the file with the standard deviations, which determine the behaviour like weights."""
+        """SHA-256 of the file with the standard deviations, which take the place of a network's weights."""
         return hashlib.sha256(_SPREAD_FILE.read_bytes()).hexdigest()
 
     def start(self, row: int, seed: int | None) -> None:

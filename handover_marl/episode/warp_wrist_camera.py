@@ -65,7 +65,7 @@ class WarpWristCamera:
         Args:
             rows: Indices (r,) of the episodes.
             state: Full state (r, ...) of these episodes.
-            steps: Numbers (r,) of simulated physics steps.
+            steps: Physics steps (r,) since the start of each episode, which seed the random choice of points.
         """
         count = len(rows)
         observation = {key: self._arrays.zeros((count, *shape), dtype) for key, (shape, dtype) in self._formats.items()}

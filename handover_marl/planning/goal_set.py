@@ -124,7 +124,7 @@ class GoalSet:
 
 
 class GoalSetBuilder:
-    """Builder of goal sets by inverse kinematics, collision checks and removal of near duplicates.
+    """Builder of goal sets by inverse kinematics, collision checks and removal of near duplicates, in the base frame.
 
     Args:
         arm: Kinematics of the arm.
@@ -133,7 +133,7 @@ class GoalSetBuilder:
             the person's hand are computed.
         start: (7,) configuration at which motions start (rad).
         limits: Lower and upper joint limits with padding, (7,) each (rad).
-        unchecked_last: Whether to reproduce the indexing error that `PlannerConfig` describes.
+        unchecked_last: Whether the last five goals skip the collision check, an error in the authors' code.
     """
 
     def __init__(
@@ -257,7 +257,7 @@ class GoalSelector:
         goals: (g, 7) goal configurations (rad).
         goal_costs: (g,) cost of each goal in addition to the cost of the path to it.
         n_waypoints: Number of waypoints of a trajectory.
-        unchecked_last: Whether to reproduce the indexing error that `PlannerConfig` describes.
+        unchecked_last: Whether only the last goal has no obstacle cost on its tail, an error in the authors' code.
     """
 
     def __init__(

@@ -77,9 +77,8 @@ class GraspPreparationConfig(CheckedConfig):
         max_copies: Maximum number of stable copies, of all grasps together.
         lateral_offsets: Offsets in the hand link's frame (fingers close along y) at which the shaking
             of a stable grasp is repeated (m).
-        advances: Distances by which a grasp may be moved along its approach axis towards the object
-            (m), the preferred one first: an object that is held by the fingertips slips away on release, before the
-            fingers press as hard as in a validation.
+        advances: Distances (m) by which a grasp may be moved along its approach axis towards the object, the preferred
+            one first. Deeper grasps hold better: an object between the fingertips slips when the person releases it.
         held_time: Time for which the object is held in place while the fingers close (s).
         free_time: Time for which the object is then simulated without support (s).
         max_slip: Maximum slip of the object within `free_time` (m).

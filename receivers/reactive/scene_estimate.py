@@ -38,6 +38,8 @@ _MIN_OPENING, _EMPTY_FINGER_POSITION = 1e-4, 0.0015
 class SceneEstimate(ABC):
     """Estimate of the states of robot, object and person's hand during one episode.
 
+    Subclasses update the estimates of object and hand, and implement `has_released`.
+
     Args:
         arm: Kinematics of the arm.
         config: Configuration of the receiver.
@@ -47,10 +49,10 @@ class SceneEstimate(ABC):
         time: Time since the start of the episode (s).
         arm_joints: (7,) configuration of the arm (rad).
         fingers: (2,) positions of the fingers (m).
-        gripper_pose: (7,) world pose of the robot's hand link.
-        object_pose: (7,) world pose of the object that is handed over.
-        motion: Motion of the object, from which the handover pose is predicted.
-        obstacles: Spheres that approximate the other objects within reach, in the world, or None without any.
+        gripper_pose: (7,) world pose of the robot's hand link, quaternion xyzw.
+        object_pose: (7,) world pose of the object that is handed over, quaternion xyzw.
+        motion: Predictor of the handover pose from the object's motion.
+        obstacles: Spheres in the world that approximate the other objects within reach; None if there are none.
         person: Tracker of the person's hand.
     """
 

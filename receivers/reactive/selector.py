@@ -100,7 +100,7 @@ class GraspSelector:
         config: Configuration of the receiver.
 
     Attributes:
-        grasps: (n, 7) candidate poses of the hand link in the object's frame.
+        grasps: (n, 7) candidate poses of the hand link in the object's frame, quaternion xyzw.
         surface: Spheres that approximate the object's surface, in the object's frame.
         chosen: Grasp that was selected last; None without a selection.
         failure_reason: Reason for which no grasp could be selected, empty otherwise.
@@ -131,11 +131,14 @@ class GraspSelector:
         self._add(graspable.grasps, graspable.pad_margins, 0.0)
 
     def set_candidates(self, poses: Array, costs: Array, surface: Spheres, chosen: int | None) -> None:
-        """Replace the candidates by poses (n, 7) of the hand link in the object's frame.
+        """Replace the candidate grasps.
 
-        The costs (n,) in s are higher the less likely a grasp holds the object, and include those of grasps
-        that failed. `surface` approximates the object, in its frame. `chosen` is the new index of the grasp that was
-        selected last; None forgets the selection.
+        Args:
+            poses: (n, 7) poses of the hand link in the object's frame, quaternion xyzw.
+            costs: (n,) costs in seconds of arm motion, higher for grasps that are less likely to hold the object. The
+                cost of grasps that failed in this episode is included.
+            surface: Spheres that approximate the object, in its frame.
+            chosen: Index in `poses` of the grasp that was selected last; None clears the selection.
         """
         self.surface, self.failed = surface, {}
         self.grasps, self._hold_costs = poses, costs

@@ -207,7 +207,10 @@ class ReportTable:
         return self.format()
 
     def select(self, columns: Sequence[str]) -> "ReportTable":
-        """Return the table with these columns alone (no titles: all), in their order; without rows if it lacks one."""
+        """Return a table with the given columns, in the given order; all columns if none are given.
+
+        If a column does not exist, the returned table has no rows.
+        """
         if not columns:
             return self
         if not set(columns) <= set(self.header):

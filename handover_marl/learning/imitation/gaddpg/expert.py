@@ -97,11 +97,11 @@ class KinematicArm:
 
 
 class ExpertPlan(NamedTuple):
-    """Plan of the expert in a scenario: goal grasps, none if none is reachable, and a trajectory to one of them.
+    """Plan of the expert: goal grasps (none if none is reachable) and a trajectory to the first one.
 
     Attributes:
         goals: (g, 7) world poses of the hand link, quaternions xyzw, the planner's goal first.
-        costs: (g,) costs of the goals without the motion to them, relative to the cheapest goal (m).
+        costs: (g,) costs of the goals minus the smallest cost (m); distances from the present pose do not count.
         trajectory: (w, 7) arm joints at the waypoints of the planned motion to the first goal (rad).
     """
 
@@ -155,7 +155,7 @@ class GraspExpert:
         return ExpertPlan(goals[order], costs[order] - costs.min(), plan.trajectory)
 
     def find_goals(self, object_name: str, object_pose: Array, joints: Array, occluder: Array) -> tuple[Array, Array]:
-        """Return at most four reachable grasps of lowest cost, and their costs without the motion to them.
+        """Return at most four reachable grasps of lowest cost, and their costs.
 
         Args:
             object_name: Class name of the object.
@@ -164,7 +164,8 @@ class GraspExpert:
             occluder: (4,) world center and radius of the occluding sphere (m); radius 0 for none.
 
         Returns:
-            (g, 7) world poses of the hand link and (g,) costs (m), in ascending order of the cost with the motion.
+            (g, 7) world poses of the hand link and (g,) costs (m) that exclude the distance from the present pose. The
+            order is ascending in the cost with this distance.
         """
         poses, hold_costs = load_costed_grasps(self._context, object_name)
         if not len(poses):

@@ -64,7 +64,7 @@ class ImitationScenario:
 
 
 class ImitationScenarios:
-    """Generator of random scenarios, each determined by the seed and its number.
+    """Sampler of random initial states (object, arm, occluding sphere) of imitation rollouts: `ImitationScenario`s.
 
     Args:
         data: Dataset of the scenes.
@@ -80,7 +80,7 @@ class ImitationScenarios:
         self._base = np.array(panda.base_position)
 
     def sample(self, number: int) -> ImitationScenario:
-        """Return the random scenario that the seed of the generator and a number determine."""
+        """Return a random scenario; it depends only on the seed of the sampler and on `number`."""
         rng = np.random.default_rng((self._seed, number))
         scene = self._data.load_scene(self._scenes[int(rng.integers(len(self._scenes)))])
         dof = self._sample_object_pose(scene.object_dof[:, 0], rng)

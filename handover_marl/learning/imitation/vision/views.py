@@ -220,11 +220,12 @@ class ViewRenderer:
         return Grasps(poses, costs, found.center)
 
     def compute_qualities(self, grasps: Grasps, hand: Spheres | None, object_pose: Array) -> Array:
-        """Return the qualities (n,), from 0 (bad) to 1 (good), of an object's grasps next to a person's hand.
+        """Return the qualities (n,) of an object's grasps: exp(-cost / 3 s), from 0 (bad) to 1 (good).
 
         Args:
             grasps: Grasps of the object.
-            hand: Spheres that cover the person's hand in the world, or None without a hand.
+            hand: Spheres that cover the person's hand in the world; None if there is no hand. Qualities are lower for
+                grasps with little clearance to it, and 0 for those with less than 3 mm.
             object_pose: (7,) pose of the object in the world, quaternion xyzw.
         """
         config, costs = self._config.reactive, grasps.costs

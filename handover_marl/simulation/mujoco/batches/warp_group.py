@@ -73,16 +73,18 @@ class WarpRollout:
 
 
 class WarpGroup:
-    """Worlds whose models have one layout; its tensors have a row for each of n worlds, in this group or not.
+    """Worlds that MuJoCo Warp steps together, because their models have the same layout (shapes and constants).
+
+    Tensors have n rows, one for each world of the batch; rows of worlds in other groups are unused.
 
     Args:
-        scene: Padded scene model with the layout of the group.
-        count: Number n of worlds.
+        scene: First scene of the group, padded to its layout with absent objects and hulls (`load_padded_model`).
+        count: Number n of worlds in the batch, in all groups.
         config: Constants of the worlds.
         arrays: Creator of tensors on the device.
 
     Attributes:
-        scene: Padded scene model with the layout of the group.
+        scene: The first scene, as above.
         state: Joint positions, velocities, warm starts and sensor data (n, ...) by MuJoCo's names.
         released: Whether the target object of each world is released, (n,).
     """
