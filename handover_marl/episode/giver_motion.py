@@ -49,7 +49,7 @@ class RecordedFrames(Protocol):
         """Return copies (r, k, ...) of joint positions of hand and objects in frames (r, k) of the givers `rows`."""
 
     def read_poses(self, rows: AnyIndices, frames: AnyArray) -> AnyArray:
-        """Return the recorded poses (r, k, 2, 7) of wrist and target object in frames (r, k) of givers `rows`."""
+        """Return the poses (r, k, 2, 7; xyz, xyzw) of wrist and target object in frames (r, k) of the givers `rows`."""
 
 
 class HostFrames:
@@ -83,7 +83,7 @@ class HostFrames:
         return ReferenceMotion(objects, hand, present)
 
     def read_poses(self, rows: Indices, frames: Indices) -> AnyArray:
-        """Return the recorded poses (r, k, 2, 7) of wrist and target object in frames (r, k) of givers `rows`."""
+        """Return the poses (r, k, 2, 7; xyz, xyzw) of wrist and target object in frames (r, k) of the givers `rows`."""
         poses = np.empty((*frames.shape, 2, 7), dtype=np.float32)
         for index, row in enumerate(rows.tolist()):
             poses[index] = self._poses[row][frames[index]]
@@ -123,7 +123,7 @@ class DeviceFrames:
         return ReferenceMotion(self._objects.rows[places], self._hand.rows[places], self._present.rows[places])
 
     def read_poses(self, rows: AnyArray, frames: AnyArray) -> AnyArray:
-        """Return the recorded poses (r, k, 2, 7) of wrist and target object in frames (r, k) of givers `rows`."""
+        """Return the poses (r, k, 2, 7; xyz, xyzw) of wrist and target object in frames (r, k) of the givers `rows`."""
         return self._poses.rows[self._firsts[rows][:, None] + frames]
 
 

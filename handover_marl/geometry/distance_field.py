@@ -78,7 +78,7 @@ class DistanceField:
 
 
 def sample_distance_field(distance: Callable[[Array], Array], lower: Array, upper: Array, cell: float) -> DistanceField:
-    """Sample a function `distance` from points (n, 3) to signed distances (n,) in m on a grid over a box.
+    """Sample a function from points (n, 3) to signed distances (n,) in m, negative inside, on a grid over a box.
 
     The grid starts at the corner `lower` (3,) of the box, reaches `upper` (3,), and has the spacing `cell` (m).
     """

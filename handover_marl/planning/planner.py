@@ -122,7 +122,7 @@ class Planner:
         self._start = start
 
     def plan(self, grasps: Array, objects: Sequence[Obstacle], hand: Capsules | None = None) -> Plan | None:
-        """Compute a trajectory to one of the grasps, hand link poses (n, 7); return None if none can be reached.
+        """Compute a trajectory to one of the grasps, hand link poses (n, 7; quaternion xyzw); None if none is reached.
 
         Grasps, obstacles `objects` and the person's `hand`, None to ignore it, are in the robot's base frame.
         """

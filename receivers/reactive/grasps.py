@@ -115,7 +115,7 @@ class ValidatedGrasps:
     """Grasps of an object with the outcome of their validation in simulation.
 
     Attributes:
-        poses: (n, 7) poses of the hand link in the object's frame.
+        poses: (n, 7) poses (quaternion xyzw) of the hand link in the object's frame.
         success_rates: (n,) share of validations that each grasp has passed, 0 to 1.
     """
 
@@ -138,7 +138,7 @@ def grasps_from_record(record: ValidationRecord, known: Array, config: GraspPrep
 
 
 def advance_grasp(pose: Array, distance: float) -> Array:
-    """Return a grasp pose (7,) moved along its own z axis by a distance (m)."""
+    """Return a grasp pose (7,) (quaternion xyzw) moved along its own z axis by a distance (m)."""
     return np.asarray(compose(pose, np.array([0.0, 0.0, distance, 0.0, 0.0, 0.0, 1.0])))
 
 
@@ -149,7 +149,7 @@ def tilt_grasps(known: Array, config: GraspPreparationConfig) -> Array:
 
 
 def compute_grasp_distances(pose: Array, poses: Array, rotation_weight: float, depth: float = 0.0) -> Array:
-    """Return the distances (n,) in m of grasp poses (n, 7) to one grasp pose (7,) in the same frame.
+    """Return the distances (n,) in m of grasp poses (n, 7) (quaternion xyzw) to one grasp pose (7,) in the same frame.
 
     A distance is that of the points at `depth` (m) on the hand link's z axis, such as `PAD_DISTANCE` for the middle
     between the pads, plus `rotation_weight` (m/rad) times the rotation angle.

@@ -59,10 +59,10 @@ class RetreatController:
         servo: Servo of the arm, with speed limits and control period.
         goal: (3,) goal of the hand link's position in the world (m).
         config: Configuration of the retreat.
-        start: (7,) world pose of the hand link when the person released the object.
+        start: (7,) world pose (quaternion xyzw) of the hand link when the person released the object.
         held: (k, 3) points of the object in the hand link's frame (m).
-        person: Spheres that approximate the person's hand in the world, or None without a hand.
-        obstacles: Spheres that approximate the other objects in the world, or None without any.
+        person: Spheres that approximate the person's hand in the world, or None if there is no hand.
+        obstacles: Spheres that approximate the other objects in the world, or None if there are none.
     """
 
     def __init__(
@@ -88,7 +88,7 @@ class RetreatController:
     def compute_velocity(self, time: float, joints: Array, gripper_pose: Array) -> Array:
         """Return the joint velocities (7,) in rad/s that continue the retreat at a time (s), for the next period.
 
-        The arm is at joints (7,) (rad), and the hand link at the world pose (7,) `gripper_pose`.
+        The arm is at joints (7,) (rad), and the hand link at the world pose (7,) (quaternion xyzw) `gripper_pose`.
         """
         if self._end is None or self._is_stalled(time, float(np.abs(joints - self._end).max())):
             if self._end is not None:

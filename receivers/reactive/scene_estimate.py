@@ -93,7 +93,7 @@ class SceneEstimate(ABC):
     def predict_bodies(self, handover_pose: Array, surface: Spheres) -> Spheres:
         """Return spheres in the world: object and person's hand, moved rigidly to a handover pose, and other objects.
 
-        The world pose (7,) is that of the object; its surface is given in its own frame.
+        The world pose (7,) (quaternion xyzw) is that of the object; its surface is given in its own frame.
         """
         human_hand = self.person.spheres
         bodies = [Spheres(transform_points(handover_pose, surface.centers), surface.radii)]
@@ -104,7 +104,7 @@ class SceneEstimate(ABC):
 
     @property
     def hand_in_object(self) -> Spheres | None:
-        """Spheres that approximate the person's hand, in the object's frame, or None without a hand."""
+        """Spheres that approximate the person's hand, in the object's frame, or None if there is no hand."""
         human_hand = self.person.spheres
         return None if human_hand is None else human_hand.transform_to_frame(self.object_pose)
 

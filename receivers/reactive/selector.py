@@ -102,7 +102,7 @@ class GraspSelector:
     Attributes:
         grasps: (n, 7) candidate poses of the hand link in the object's frame, quaternion xyzw.
         surface: Spheres that approximate the object's surface, in the object's frame.
-        chosen: Grasp that was selected last; None without a selection.
+        chosen: Grasp that was selected last; None if there is no selection.
         failure_reason: Reason for which no grasp could be selected, empty otherwise.
         failed: Time of the episode (s) until which a failed grasp has a higher cost, by the index of the grasp.
     """
@@ -186,15 +186,15 @@ class GraspSelector:
         return self.chosen
 
     def compute_grasp_pose(self, goal: GraspGoal, object_pose: Array) -> Array:
-        """Return the world pose (7,) of the hand link at a grasp of an object at a world pose (7,)."""
+        """Return the hand link's world pose (7,) at a grasp of an object at a world pose (7,), quaternions xyzw."""
         return np.asarray(compose(object_pose, self.grasps[goal.number]))
 
     def compute_standoff_pose(self, grasp_pose: Array) -> Array:
-        """Return the hand link's pose (7,) at the standoff of a grasp with a given pose (7,)."""
+        """Return the hand link's pose (7,) (quaternion xyzw) at the standoff of a grasp with a given pose (7,)."""
         return np.asarray(compose(grasp_pose, self._grasp_from_standoff))
 
     def compute_pose_in_grasp(self, goal: GraspGoal, object_pose: Array, gripper_pose: Array) -> Array:
-        """Return the hand link's pose (7,) in the frame of a grasp, from the world poses of object and hand link."""
+        """Return the hand link's pose (7,) in a grasp's frame from world poses of object and hand link; all xyzw."""
         return np.asarray(compose(invert_pose(self.compute_grasp_pose(goal, object_pose)), gripper_pose))
 
     def _add(self, grasps: ValidatedGrasps, pad_margins: Array, cost: float) -> None:

@@ -175,7 +175,7 @@ class GraspTracker:
 
     Attributes:
         position: Filter that estimates the object's center in the world.
-        grasps: (n, 7) candidate poses of the hand link relative to the object's center; the
+        grasps: (n, 7) candidate poses (quaternion xyzw) of the hand link relative to the object's center; the
             first is the selected one, if any.
         costs: (n,) costs of the candidates (s).
         surface: Spheres at the visible part of the object, relative to its center.
@@ -209,7 +209,7 @@ class GraspTracker:
 
     @property
     def object_pose(self) -> Array:
-        """(7,) world pose of the object's center, with the identity rotation."""
+        """(7,) world pose (quaternion xyzw) of the object's center, with the identity rotation."""
         return np.array([*self.position.position, 0.0, 0.0, 0.0, 1.0])
 
     @property
@@ -230,7 +230,7 @@ class GraspTracker:
         """Update object, hand and grasp candidates from a view of the wrist camera at a time (s).
 
         Points (n, 3) of the object and of the person's hand are in the hand link's frame (m), given by its
-        world pose (7,).
+        world pose (7,) (quaternion xyzw).
         """
         if len(object_points) < _MIN_POINTS:
             self.position.coast(time)

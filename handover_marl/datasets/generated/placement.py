@@ -107,7 +107,7 @@ class SimulatedGiver:
         wrist_distances: Quantiles (m) of the wrist's distance from the object, at the levels
             `handover_marl.assets.human_grasps.LEVELS`.
         grasps: The person's g grasps of the object.
-        robot_grasps: (n, 7) poses of the Panda's hand link at robot grasps, or None for a class without grasps.
+        robot_grasps: (n, 7) poses (quaternion xyzw) of the Panda's hand link at robot grasps, or None for no grasps.
     """
 
     class_id: int
@@ -289,7 +289,7 @@ def _make_gripper_points() -> Array:
 
 
 def hand_poses_from_grasps(transforms: Array) -> Array:
-    """Return poses (n, 7) of the Panda's hand link for gripper poses (n, 4, 4) in HandoverSim's convention (m)."""
+    """Return poses (n, 7), xyz and xyzw, of the Panda's hand link for HandoverSim's gripper poses (n, 4, 4) in m."""
     return np.asarray(compose(poses_from_matrices(transforms), np.array(GRIPPER_FROM_HAND)))
 
 

@@ -36,7 +36,7 @@ RELEASED_MASK = -1 - HAND_MASK
 
 
 def reset_base(client: BulletClient, body_id: int, world_from_base: npt.ArrayLike) -> None:
-    """Set the world pose (7,) of the URDF frame of a body's base link.
+    """Set the world pose (7,) (quaternion xyzw) of the URDF frame of a body's base link.
 
     Bullet sets base poses at the centre of mass.
     """
@@ -62,7 +62,7 @@ class ArticulatedBody:
         mask: Collision group and mask of all links.
         joints: Positions of the moving joints after loading (m, rad).
         velocities: Velocities of the moving joints (m/s, rad/s); None means that the body is at rest.
-        base: (7,) world pose of the base link.
+        base: (7,) world pose (quaternion xyzw) of the base link.
         flags: Flags of PyBullet's `loadURDF`.
 
     Attributes:

@@ -68,11 +68,11 @@ class BulletIKStep:
         return np.array(self._client.calculateInverseKinematics(self._panda.id, self._panda.hand_link, *target))
 
     def to_base_frame(self, world_from_hand: npt.NDArray[np.floating]) -> Array:
-        """Transform a world pose (7,) to the robot's base frame, rounded to float32."""
+        """Transform a world pose (7,) (quaternion xyzw) to the robot's base frame, rounded to float32."""
         return self._multiply(self._base_from_world, (world_from_hand[:3].tolist(), world_from_hand[3:].tolist()))
 
     def to_world_frame(self, base_from_hand: Array) -> Array:
-        """Transform a pose (7,) from the robot's base frame to the world, rounded to float32."""
+        """Transform a pose (7,) (quaternion xyzw) from the robot's base frame to the world, rounded to float32."""
         return self._multiply(self._base, (base_from_hand[:3].tolist(), base_from_hand[3:].tolist()))
 
     def _multiply(self, first: tuple[object, object], second: tuple[object, object]) -> Array:

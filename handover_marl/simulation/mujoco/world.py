@@ -330,7 +330,7 @@ class MujocoWorld(RolloutWorld):
             self._is_state_set = True
 
     def _get_hand_joints(self) -> Array | None:
-        """Return the current joint positions (51,) of the human hand (m, rad), or None without a hand."""
+        """Return the current joint positions (51,) of the human hand (m, rad), or None if there is no hand."""
         track_worlds([self])
         return self.hand.get_joints(self.row) if self.hand.is_present_after(self.row) else None
 

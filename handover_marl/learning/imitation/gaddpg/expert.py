@@ -110,7 +110,7 @@ class ExpertPlan(NamedTuple):
     trajectory: Array
 
     def choose_goal(self, hand: Array) -> Array:
-        """Return the goal (7,) that is cheapest to reach from a present world pose (7,) of the hand link."""
+        """Return the goal (7,) that is cheapest to reach from a world pose (7,), quaternion xyzw, of the hand link."""
         costs = self.costs + compute_grasp_distances(hand, self.goals, _ROTATION_COST, PAD_DISTANCE)
         costs[0] -= _SWITCH_MARGIN
         chosen: Array = self.goals[int(np.argmin(costs))]
@@ -248,7 +248,7 @@ def load_costed_grasps(context: PolicyContext, object_name: str) -> tuple[Array,
 
 
 def compute_grasp_costs(world: Array, hand: Array, occluder: Array) -> Array:
-    """Return the costs (n,) in m of moving the hand link to n grasps, plus those of low clearance there.
+    """Return the costs (n,) in m of moving the hand link to n grasps, higher near the occluder or the table.
 
     Args:
         world: (n, 7) world poses of the hand link at the grasps, quaternions xyzw.

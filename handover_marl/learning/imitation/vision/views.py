@@ -348,7 +348,7 @@ def read_object_pose(scene: Scene, frame: int) -> Array:
 
 
 def read_hand_spheres(scene: Scene, frame: int) -> Spheres | None:
-    """Return spheres in the world that cover the recorded hand in a frame; None without a hand.
+    """Return spheres in the world that cover the recorded hand in a frame; None if there is no hand.
 
     Raises:
         SimulationError: The model of the hand cannot be read.
