@@ -84,8 +84,8 @@ class HurriedConfig(CheckedConfig):
     """Configuration of `HurriedGiver`.
 
     Attributes:
-        min_rate: Smallest playback rate minus 1; negative values are slower than recorded.
-        max_rate: Largest playback rate minus 1.
+        min_rate: Smallest playback speed relative to the recording, minus 1: negative values are slower.
+        max_rate: Largest playback speed relative to the recording, minus 1.
     """
 
     ordered_fields: ClassVar = (("min_rate", "max_rate"),)

@@ -134,8 +134,8 @@ class KinematicTree:
     def compute_reach(self, link: int, spheres: Mapping[int, BoundingSphere]) -> float:
         """Compute the largest distance (m) from a link's origin to the shapes of the link and its descendants.
 
-        The shapes are given by bounding spheres by link number. The revolute joints between them may have any
-        position, prismatic ones are at zero.
+        `spheres` maps the number of a link to the bounding sphere of its shapes. Revolute joints may have any position,
+        prismatic joints are at zero.
         """
         reaches: dict[int, float] = {}
         # Children follow their parents.

@@ -149,10 +149,11 @@ class GoalSetBuilder:
         self._unchecked_last = unchecked_last
 
     def build(self, grasps: Array, objects: Sequence[Obstacle], person: Obstacle | None) -> GoalSet:
-        """Return the goals at which the hand link reaches one of the grasps, poses (n, 7) in the base frame.
+        """Return the goals at which the hand link reaches one of the grasps, poses (n, 7; xyzw) in the base frame.
 
-        The arm must not collide with `objects` at a standoff. Goals with too little clearance to `person`, the person's
-        hand or None, are excluded if others exist; of similar goals, that with most clearance is kept. Order is random.
+        The arm must not collide with `objects` at a standoff. If the person's hand is given as `person`, goals with too
+        little clearance to it are excluded if others exist. One of several similar goals is kept, that with the largest
+        clearance. The order of the goals is random.
         """
         goals = self._add_wrist_flips(self._solve_tails(grasps))
         goals = goals.select(self._is_rotated_little(goals.goals))

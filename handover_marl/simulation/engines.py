@@ -51,7 +51,7 @@ def list_available_physics() -> tuple[str, ...]:
 
 
 def make_world(physics: str, config: PhysicsConfig, window: bool = False) -> World:
-    """Create a simulated world without a scene.
+    """Create a simulated world that has no scene yet.
 
     Args:
         physics: Kind of physics, one of `PHYSICS`.
@@ -113,13 +113,13 @@ def check_backend(backend: BatchBackend) -> None:
 
 
 def make_worlds(config: PhysicsConfig, count: int, backend: BatchBackend, arrays: ArrayFactory) -> Worlds:
-    """Create `count` worlds of MuJoCo or MuJoCo Warp, still without scenes, which are simulated together.
+    """Create `count` worlds that MuJoCo or MuJoCo Warp simulates together; they have no scenes yet.
 
     Args:
         config: Constants of the worlds.
         count: Number of worlds.
         backend: Engine and device.
-        arrays: Creator of arrays on this device: NumPy arrays, or with MuJoCo Warp tensors.
+        arrays: Creator of arrays on this device: NumPy arrays, or tensors for MuJoCo Warp.
 
     Raises:
         OptionError: A package or the device is missing.

@@ -135,7 +135,7 @@ def compute_pad_margins(poses: Array, points: Array) -> Array:
 
 
 def compute_hold_costs(grasps: ValidatedGrasps, pad_margins: Array, config: GraspSelectorConfig) -> Array:
-    """Return the costs (n,) in s of grasps with pad margins (n,), higher the less likely they hold the object."""
+    """Return costs (n,) in s of grasps: higher if they hold less often, or if the pad margins (n,) in m are small."""
     rates = grasps.success_rates
     costs: Array = _UNSTABLE_COST * (rates == 0.0) + config.partial_hold_cost * (1.0 - rates)
     costs += _FINGERTIP_COST * np.maximum(0.0, 1.0 - pad_margins / _DESIRED_PAD_MARGIN)

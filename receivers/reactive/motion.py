@@ -71,7 +71,7 @@ class MotionController:
         return self.move_open(self._separate(self._compute_home_velocity(), self._config.hand_clearance))
 
     def move_to(self, goal: Array, surface: Spheres) -> Action:
-        """Return the action towards arm joints (7,), clear of the person's hand and of the object's surface."""
+        """Return the action towards arm joints (7,) in rad; it avoids the person's hand and the object's `surface`."""
         velocity = self.servo.limit_speed(self.servo.compute_goal_velocity(self.scene.arm_joints, goal))
         return self.move_open(self._separate(velocity, self._config.hand_clearance, surface=surface))
 

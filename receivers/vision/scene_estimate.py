@@ -95,9 +95,9 @@ class PointCloudSceneEstimate(SceneEstimate):
             self._update_obstacles(others)
 
     def has_released(self, closing_since: float) -> bool:
-        """Return whether the fingers show that the person has released the object.
+        """Return whether the person has released the object, by the motion of fingers that close since a time (s).
 
-        They must have been at rest for some time, or be kept open by the object for long.
+        The fingers must have been at rest for a while, or the object has kept them from closing for long.
         """
         if closing_since != self._closing_since:
             self._closing_since = self._moved_at = closing_since

@@ -98,7 +98,7 @@ class WorldData:
         check_warnings(batch)
 
     def set_step(self, controls: Array, sensordata: Array, step_state: Array) -> None:
-        """Set the state to that after a step that `simulate` has simulated.
+        """Set the state to that after one of the steps that `simulate` has computed, from what it wrote for this step.
 
         Args:
             controls: Controls (c,) of the step.
