@@ -39,7 +39,7 @@ _BASE_LINK = 5
 _HALF = OBJECT_DOF // 2
 
 
-class RecordedFrames(Protocol):
+class Recordings(Protocol):
     """Interface of the recordings of n givers: `rows` (r,) are givers, `frames` (r, k) frame numbers of each."""
 
     def set_scene(self, row: int, scene: Scene) -> None:
@@ -52,7 +52,7 @@ class RecordedFrames(Protocol):
         """Return the poses (r, k, 2, 7; xyz, xyzw) of wrist and target object in frames (r, k) of the givers `rows`."""
 
 
-class HostFrames:
+class NumpyRecordings:
     """Recorded frames as NumPy arrays, which are read from the scenes.
 
     Args:
@@ -90,7 +90,7 @@ class HostFrames:
         return poses
 
 
-class DeviceFrames:
+class TensorRecordings:
     """Recorded frames as tensors, which stay on the device. A recording of DexYCB takes 1.1 MB.
 
     Args:
@@ -184,7 +184,7 @@ class GiverMotion:
 
     def __init__(self, count: int, config: GiverConfig, arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
         self._config, self._arrays = config, arrays
-        self._recorded: RecordedFrames = HostFrames(count) if arrays.xp is np else DeviceFrames(count, arrays)
+        self._recorded: Recordings = NumpyRecordings(count) if arrays.xp is np else TensorRecordings(count, arrays)
         self._last_frame, self._pick_up = arrays.zeros(count, "int64"), arrays.zeros(count, "int64")
         self._wrists_in_base = arrays.zeros((count, 3))
         self.state = GiverState(

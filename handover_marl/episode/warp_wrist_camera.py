@@ -56,7 +56,7 @@ class WarpWristCamera:
             assets: Models of the scene.
             seed: Seed of the subsampling of point clouds, 32 bits.
         """
-        self._camera.reset(row, assets)
+        self._camera.load_scene(row, assets)
         self._seeds[row] = seed
 
     def observe(self, rows: AnyArray, state: Observation, steps: AnyArray) -> Observation:

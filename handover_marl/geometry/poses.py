@@ -180,7 +180,7 @@ def _euler_solutions(angles: AnyArray) -> AnyArray:
     return xp.stack([own, half_turns + own * signs], axis=1)
 
 
-def select_nearest_euler(angles: AnyArray, previous: AnyArray) -> tuple[AnyArray, AnyArray]:
+def find_nearest_euler_branch(angles: AnyArray, previous: AnyArray) -> tuple[AnyArray, AnyArray]:
     """Select the XYZ Euler angles of the rotations `angles` (n, 3) that are nearest to `previous` (n, 3) (rad).
 
     Returns which triple is nearest (n,), 0 for the given or 1 for the other one, and the turns (n, 3) to add to it.
@@ -196,7 +196,7 @@ def select_nearest_euler(angles: AnyArray, previous: AnyArray) -> tuple[AnyArray
 def find_nearest_euler(angles: AnyArray, previous: AnyArray) -> AnyArray:
     """Return the XYZ Euler angles (n, 3) of the rotations with `angles` (n, 3), nearest to `previous` (n, 3) (rad)."""
     xp, solutions = get_namespace(angles), _euler_solutions(angles)
-    solution, turns = select_nearest_euler(angles, previous)
+    solution, turns = find_nearest_euler_branch(angles, previous)
     return xp.where(solution[:, None] == 0, solutions[:, 0], solutions[:, 1]) + 2.0 * np.pi * turns
 
 

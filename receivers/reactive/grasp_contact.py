@@ -77,7 +77,7 @@ def load_graspable_object(context: PolicyContext, object_name: str, config: Reac
         grasps = validate_grasps(urdf, context.panda_urdf, known, preparation)
     vertices, faces = read_collision_mesh(urdf)
     surface = sample_surface_spheres(vertices, faces, config.n_surface_spheres, config.surface_radius)
-    points = sample_surface_points(vertices, faces, config.n_surface_points)
+    points = collect_surface_points(vertices, faces, config.n_surface_points)
     grasps = grasps.select(compute_flange_clearances(grasps.poses, surface) > 0.0)
     center = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     return GraspableObject(grasps, compute_pad_margins(grasps.poses, points), surface, points, center)
@@ -107,7 +107,7 @@ def find_offset_grasps(
     return offset.select(kept), margins[kept]
 
 
-def sample_surface_points(vertices: Array, faces: npt.NDArray[np.int_], count: int) -> Array:
+def collect_surface_points(vertices: Array, faces: npt.NDArray[np.int_], count: int) -> Array:
     """Return the vertices of a mesh and `count` random points on its surface, from a fixed seed (m)."""
     rng = np.random.default_rng(0)
     corners = vertices[faces]

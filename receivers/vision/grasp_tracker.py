@@ -68,7 +68,7 @@ _N_FINGER_POINTS, _LATERAL_SHIFTS = 400, (0.0, -0.006, 0.006, -0.012, 0.012, -0.
 SHIFT_COST, COLLISION_COST, _FREE_DEPTH = 20.0, 60.0, 0.003
 
 
-class PointMap:
+class VoxelMap:
     """Voxel map of points on the object, or on the person's hand that holds it.
 
     Args:
@@ -202,8 +202,8 @@ class GraspTracker:
     def _restart(self) -> None:
         """Forget the object's motion, the points and the selected grasp."""
         self.position = PositionFilter()
-        self._object_map = PointMap(_VOXEL_SIZE, _OBJECT_MEMORY)
-        self._hand_map = PointMap(_VOXEL_SIZE, _HAND_MEMORY)
+        self._object_map = VoxelMap(_VOXEL_SIZE, _OBJECT_MEMORY)
+        self._hand_map = VoxelMap(_VOXEL_SIZE, _HAND_MEMORY)
         self.selected = None
         self._keyframe: Keyframe | None = None
 

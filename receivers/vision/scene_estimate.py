@@ -11,7 +11,7 @@ from handover_marl.planning.hand_tracker import HandTracker
 from handover_marl.receivers.reactive.config import ReactiveConfig
 from handover_marl.receivers.reactive.grasp_contact import OBSTACLE_RADIUS
 from handover_marl.receivers.reactive.scene_estimate import SceneEstimate
-from handover_marl.receivers.vision.grasp_tracker import LOST_TIMEOUT, GraspTracker, PointMap
+from handover_marl.receivers.vision.grasp_tracker import LOST_TIMEOUT, GraspTracker, VoxelMap
 
 Array = npt.NDArray[np.float64]
 
@@ -74,7 +74,7 @@ class PointCloudSceneEstimate(SceneEstimate):
         self._last_fingers = np.zeros(2)
         self._closing_since, self._moved_at = -np.inf, np.inf
         self._search_timeout = SEARCH_TIMEOUT
-        self._obstacle_map = PointMap(OBSTACLE_VOXEL_SIZE, np.inf)
+        self._obstacle_map = VoxelMap(OBSTACLE_VOXEL_SIZE, np.inf)
 
     def update(self, observation: Observation) -> None:
         """Update robot, object and person's hand from an observation."""

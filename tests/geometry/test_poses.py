@@ -75,7 +75,7 @@ FUNCTIONS: list[tuple[Callable[..., Any], tuple[tuple[int, ...], ...]]] = [
     (poses.invert_pose, ((5, 7),)),
     (poses.inverse_transform_points, ((5, 1, 7), (5, 6, 3))),
     (poses.quaternions_from_euler, ((5, 3),)),
-    (poses.select_nearest_euler, ((5, 3), (5, 3))),
+    (poses.find_nearest_euler_branch, ((5, 3), (5, 3))),
     (rotations.matrices_from_quaternions, ((5, 4),)),
     (rotations.quaternions_from_rotation_vectors, ((5, 3),)),
     (rotations.rotation_vectors_from_quaternions, ((5, 4),)),

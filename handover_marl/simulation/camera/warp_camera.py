@@ -170,7 +170,7 @@ class WarpCamera:
         self._hand_link = 0
         self._bank: MeshBank | None = None
 
-    def reset(self, row: int, assets: SceneAssets) -> None:
+    def load_scene(self, row: int, assets: SceneAssets) -> None:
         """Load the models of the scene of the world with number `row`.
 
         Raises:

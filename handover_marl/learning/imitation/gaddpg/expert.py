@@ -83,7 +83,7 @@ class KinematicArm:
         self.arm = ArmInWorld.for_panda(context.panda_urdf, context.panda)
         self._stepper = make_ik_stepper(context.panda_urdf, context.panda)
 
-    def move(self, joints: Array, step: Array) -> Array:
+    def compute_next_joints(self, joints: Array, step: Array) -> Array:
         """Return the arm joints (7,) in rad 0.15 s after a decision that commands a motion of the Panda's hand link.
 
         Args:
@@ -217,7 +217,7 @@ class GraspExpert:
             if self._compute_miss(path[-1], goal) < _TOLERANCE:
                 break
             hand = self._arm.arm.compute_hand_pose(path[-1])
-            path.append(self._arm.move(path[-1], self.compute_step(hand, goal, remaining)))
+            path.append(self._arm.compute_next_joints(path[-1], self.compute_step(hand, goal, remaining)))
         return path
 
     def _compute_miss(self, joints: Array, goal: Array) -> float:
