@@ -25,7 +25,7 @@ from handover_marl.geometry.arrays import (
     widen,
 )
 from handover_marl.geometry.kinematic_tree import KinematicTree, read_tree
-from handover_marl.geometry.poses import quaternions_from_euler, rotate_points
+from handover_marl.geometry.rotations import quaternions_from_euler, rotate_points
 from handover_marl.simulation.reference_tracking import BASE_JOINTS, WRIST_LINK, ReferenceMotion
 
 #: Number of physics steps for which the giver's motion is planned at a time.

@@ -7,15 +7,16 @@ import numpy as np
 
 from handover_marl.config import TIME_STEP
 from handover_marl.geometry.arrays import AnyArray, get_namespace, is_tensor, widen
-from handover_marl.geometry.poses import (
+from handover_marl.geometry.rotations import (
+    euler_from_quaternions,
     find_nearest_euler,
     find_nearest_euler_branch,
     multiply_quaternions,
     normalize_quaternions,
     quaternions_from_euler,
+    quaternions_from_rotation_vectors,
     rotate_points,
 )
-from handover_marl.geometry.rotations import euler_from_quaternions, quaternions_from_rotation_vectors
 
 _TOLERANCE = 1e-6  # m, rad
 # Smallest divisor of vectors that may have no length.

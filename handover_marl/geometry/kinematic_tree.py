@@ -17,7 +17,8 @@ from scipy.spatial.transform import Rotation
 from handover_marl.errors import OptionError, SimulationError
 from handover_marl.geometry.arrays import AnyArray, ArrayFactory, RowBank, get_namespace, make_constant
 from handover_marl.geometry.model_files.urdf_xml import parse_urdf, read_attribute
-from handover_marl.geometry.poses import IDENTITY, quaternion_from_matrix, rotate_points, transform_points
+from handover_marl.geometry.poses import IDENTITY, transform_points
+from handover_marl.geometry.rotations import quaternions_from_matrices, rotate_points
 
 Array = npt.NDArray[np.float64]
 
@@ -121,7 +122,7 @@ class KinematicTree:
         """Compute base-frame poses (n, k, 7), quaternions xyzw, of k links by number at joints (n, d) (rad, m)."""
         origins, rotations = self.compute_link_frames(dof)
         chosen = list(links)
-        return np.concatenate([origins[:, chosen], quaternion_from_matrix(rotations[:, chosen])], axis=-1)
+        return np.concatenate([origins[:, chosen], quaternions_from_matrices(rotations[:, chosen])], axis=-1)
 
     def get_link(self, name: str) -> int:
         """Return the number of the link with a name.

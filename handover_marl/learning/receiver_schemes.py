@@ -5,19 +5,16 @@ import numpy as np
 from handover_marl.config import ARM_DOF, PANDA_DOF
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arm import ArmKinematics
-from handover_marl.geometry.arrays import AnyArray, get_namespace, stack_last
+from handover_marl.geometry.arrays import AnyArray, compute_lengths, get_namespace, stack_last
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import CLOSED, LOWER_LIMITS, OPEN, UPPER_LIMITS, WAITING_JOINTS
-from handover_marl.geometry.poses import (
-    compute_lengths,
+from handover_marl.geometry.rotations import (
+    compute_rotation_magnitudes,
     conjugate_quaternions,
     multiply_quaternions,
     normalize_quaternions,
-    rotate_points,
-)
-from handover_marl.geometry.rotations import (
-    compute_rotation_magnitudes,
     quaternions_from_rotation_vectors,
+    rotate_points,
     rotation_vectors_from_quaternions,
 )
 from handover_marl.learning.action_scheme import ArrayScheme, RawScheme

@@ -7,7 +7,8 @@ import numpy.typing as npt
 
 from handover_marl.config import TABLE_HEIGHT, TIME_STEP
 from handover_marl.geometry.panda import CLOSED, OPEN
-from handover_marl.geometry.poses import IDENTITY, compose, compute_rotation_angles, transform_points
+from handover_marl.geometry.poses import IDENTITY, compose, transform_points
+from handover_marl.geometry.rotations import compute_rotation_angles
 from handover_marl.planning.arm_control import ArmInWorld, ArmServo
 from handover_marl.planning.clearance import Spheres
 from handover_marl.planning.collision_avoidance import (

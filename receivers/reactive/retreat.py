@@ -7,7 +7,8 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from handover_marl.geometry.poses import IDENTITY, inverse_transform_points, rotate_points, transform_points
+from handover_marl.geometry.poses import IDENTITY, inverse_transform_points, transform_points
+from handover_marl.geometry.rotations import rotate_points
 from handover_marl.planning.arm_control import ArmInWorld, ArmServo
 from handover_marl.planning.clearance import (
     Spheres,

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.distance import cdist
 
-from handover_marl.assets.hand_model import HandGeometry, matrices_from_euler
+from handover_marl.assets.hand_model import HandGeometry
 from handover_marl.assets.human_grasps import LEVELS, HumanGrasps
 from handover_marl.assets.shipped import find_object_urdf
 from handover_marl.datasets.dataset import TABLE_HEIGHT
@@ -24,6 +24,7 @@ from handover_marl.datasets.generated.random_stream import (
     UP_AXES,
     RandomStream,
 )
+from handover_marl.geometry.arrays import compute_cross_products
 from handover_marl.geometry.model_files.meshes import compute_convex_hull, read_collision_mesh
 from handover_marl.geometry.panda import (
     GRIPPER_FROM_HAND,
@@ -34,12 +35,12 @@ from handover_marl.geometry.panda import (
 )
 from handover_marl.geometry.poses import (
     compose,
-    compute_cross_products,
     compute_pose_distances,
     poses_from_matrices,
     poses_from_rotations,
     transform_points,
 )
+from handover_marl.geometry.rotations import matrices_from_euler
 from handover_marl.geometry.ycb import CLASS_NAMES
 
 Array = npt.NDArray[np.float64]

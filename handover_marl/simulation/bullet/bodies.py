@@ -16,7 +16,8 @@ from handover_marl.config import PANDA_DOF, TIME_STEP, HandConfig, MotorConfig, 
 from handover_marl.datasets.dataset import SceneAssets
 from handover_marl.errors import SimulationError
 from handover_marl.geometry.panda import CAMERA_LINK, FINGER_LINKS, HAND_FROM_CAMERA_LINK, HAND_LINK
-from handover_marl.geometry.poses import IDENTITY, compose, multiply_quaternions, transform_points
+from handover_marl.geometry.poses import IDENTITY, compose, transform_points
+from handover_marl.geometry.rotations import multiply_quaternions
 from handover_marl.geometry.ycb import SCENE_CLASSES
 from handover_marl.simulation.bullet.client import BulletClient, load_urdf, to_float32_list
 from handover_marl.simulation.reference_tracking import list_hand_motors, list_object_motors, select_keypoint_links

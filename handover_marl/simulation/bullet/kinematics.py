@@ -14,7 +14,8 @@ from handover_marl.config import ARM_DOF, HandConfig, PandaConfig
 from handover_marl.geometry.arm import IkSolver, ReachabilityBound
 from handover_marl.geometry.kinematic_tree import BoundingSphere, read_tree
 from handover_marl.geometry.panda import HAND_LINK
-from handover_marl.geometry.poses import compute_rotation_angles, invert_pose, multiply_quaternions, transform_points
+from handover_marl.geometry.poses import invert_pose, transform_points
+from handover_marl.geometry.rotations import compute_rotation_angles, multiply_quaternions
 from handover_marl.simulation.bullet.bodies import INERTIAL_POSE, HandBody, PandaBody, reset_base
 from handover_marl.simulation.bullet.client import CONTACT_DISTANCE, connect, load_urdf
 from handover_marl.simulation.bullet.sleepable_bodies import read_bounding_spheres

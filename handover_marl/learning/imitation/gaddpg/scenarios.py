@@ -13,7 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.config import ARM_DOF, PandaConfig
 from handover_marl.datasets import Dataset
-from handover_marl.geometry.poses import inverse_transform_points, quaternions_from_euler
+from handover_marl.geometry.poses import inverse_transform_points
+from handover_marl.geometry.rotations import quaternions_from_euler
 from handover_marl.planning.arm_control import ArmInWorld
 
 Array = npt.NDArray[np.float64]

@@ -20,13 +20,8 @@ from handover_marl.datasets import open_dataset
 from handover_marl.datasets.dataset import Scene
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import OPEN, WAITING_JOINTS
-from handover_marl.geometry.poses import (
-    compose,
-    inverse_transform_points,
-    invert_pose,
-    quaternions_from_euler,
-    transform_points,
-)
+from handover_marl.geometry.poses import compose, inverse_transform_points, invert_pose, transform_points
+from handover_marl.geometry.rotations import quaternions_from_euler
 from handover_marl.learning.imitation.samples import generate_samples, join_samples, stack_samples
 from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.planning.clearance import Spheres, compute_grasp_clearances
