@@ -8,18 +8,11 @@ import numpy as np
 
 from handover_marl.config import CheckedConfig, bounded
 from handover_marl.episode.observations import Observation
-from handover_marl.geometry.arrays import (
-    NUMPY_ARRAYS,
-    AnyArray,
-    AnyIndices,
-    ArrayFactory,
-    compute_dot_products,
-    compute_lengths,
-    widen,
-)
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, ArrayFactory, widen
 from handover_marl.geometry.panda import FINGERTIPS
 from handover_marl.geometry.poses import transform_points
 from handover_marl.geometry.rotations import quaternions_from_rotation_vectors, rotate_points
+from handover_marl.geometry.vectors import compute_dot_products, compute_lengths
 from handover_marl.givers.array_giver import ArrayGiver, compute_gripper_object_distances
 from handover_marl.policies.batch import Actions
 

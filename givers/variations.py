@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.config import CheckedConfig, bounded
 from handover_marl.episode.observations import Observation
-from handover_marl.geometry.arrays import AnyIndices, compute_lengths, to_numpy, widen
+from handover_marl.geometry.arrays import AnyIndices, to_numpy, widen
+from handover_marl.geometry.vectors import compute_lengths
 from handover_marl.geometry.ycb import CLASS_NAMES
 from handover_marl.givers.array_giver import ArrayGiver
 from handover_marl.policies.batch import Actions

@@ -18,9 +18,10 @@ from handover_marl.episode.loop import steps_from_hold_time
 from handover_marl.episode.observations import Observation, add_episode_axis
 from handover_marl.geometry import panda
 from handover_marl.geometry.arm import IkSolver
-from handover_marl.geometry.arrays import ONLY_ROW, AnyIntegers, Indices, compute_dot_products, compute_lengths
+from handover_marl.geometry.arrays import ONLY_ROW, AnyIntegers, Indices
 from handover_marl.geometry.poses import compose, compute_pose_distances
 from handover_marl.geometry.rotations import compute_rotation_angles
+from handover_marl.geometry.vectors import compute_dot_products, compute_lengths
 from handover_marl.planning.ik_solvers import ThreadIkSolver
 from handover_marl.policies.policy import (
     Action,

@@ -47,13 +47,13 @@ from handover_marl.geometry.arrays import (
     AnyIndices,
     ArrayFactory,
     as_arrays,
-    compute_lengths,
     get_namespace,
     make_constant,
     widen,
 )
 from handover_marl.geometry.panda import FINGERTIPS
 from handover_marl.geometry.poses import inverse_transform_points, transform_points
+from handover_marl.geometry.vectors import compute_lengths
 from handover_marl.planning.clearance import GRIPPER_BOX_CENTERS, GRIPPER_BOX_HALF_SIZES
 
 #: Values (r,) of terms by name.

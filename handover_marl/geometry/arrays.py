@@ -1,4 +1,4 @@
-"""Array namespaces and products of vectors: the same code for NumPy arrays and for PyTorch tensors on any device.
+"""Array namespaces: the same code for NumPy arrays and for PyTorch tensors on any device.
 
 A namespace is that of the Python array API standard: NumPy itself, or PyTorch as `array-api-compat` wraps it.
 Functions that take arrays use the namespace of their arguments; objects with arrays as state get an `ArrayFactory`.
@@ -97,27 +97,6 @@ def stack_last(parts: Sequence[AnyArray]) -> AnyArray:
     for place, part in enumerate(parts):
         stacked[..., place] = part
     return stacked
-
-
-def compute_dot_products(first: AnyArray, second: AnyArray) -> AnyArray:
-    """Compute the dot products (...) of vectors (..., k), each equal to `np.dot` to the bit."""
-    xp, first, second = as_arrays(first, second)
-    if is_tensor(first):
-        return xp.sum(first * second, axis=-1)
-    return np.asarray(np.vecdot(first, second))
-
-
-def compute_lengths(vectors: AnyArray) -> AnyArray:
-    """Compute the lengths (...) of vectors (..., k), each equal to `np.linalg.norm` to the bit."""
-    return get_namespace(vectors).sqrt(compute_dot_products(vectors, vectors))
-
-
-def compute_cross_products(left: npt.ArrayLike, right: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    """Compute the cross products (..., 3) of vectors (..., 3), each equal to `np.cross` to the bit."""
-    a, b = np.asarray(left), np.asarray(right)
-    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
-    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
-    return np.asarray(stack_last([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx]))
 
 
 @contextlib.contextmanager

@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from handover_marl.geometry.arrays import AnyArray, as_arrays, compute_lengths, get_namespace, is_tensor, stack_last
+from handover_marl.geometry.arrays import AnyArray, as_arrays, get_namespace, is_tensor, stack_last
+from handover_marl.geometry.vectors import compute_lengths
 
 Array = npt.NDArray[np.float64]
 

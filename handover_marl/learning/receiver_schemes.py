@@ -5,7 +5,7 @@ import numpy as np
 from handover_marl.config import ARM_DOF, PANDA_DOF
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arm import ArmKinematics
-from handover_marl.geometry.arrays import AnyArray, compute_lengths, get_namespace, stack_last
+from handover_marl.geometry.arrays import AnyArray, get_namespace, stack_last
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import CLOSED, LOWER_LIMITS, OPEN, UPPER_LIMITS, WAITING_JOINTS
 from handover_marl.geometry.rotations import (
@@ -17,6 +17,7 @@ from handover_marl.geometry.rotations import (
     rotate_points,
     rotation_vectors_from_quaternions,
 )
+from handover_marl.geometry.vectors import compute_lengths
 from handover_marl.learning.action_scheme import ArrayScheme, RawScheme
 from handover_marl.learning.array_features import rotate_to_world
 from handover_marl.policies.policy import PolicyContext

@@ -12,7 +12,8 @@ from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
 from handover_marl.geometry import poses, rotations
-from handover_marl.geometry.arrays import compute_dot_products, compute_lengths, is_tensor, to_numpy
+from handover_marl.geometry.arrays import is_tensor, to_numpy
+from handover_marl.geometry.vectors import compute_dot_products, compute_lengths
 
 Array = npt.NDArray[np.float64]
 COORDINATES = arrays(np.float64, 3, elements=st.floats(-10, 10))

@@ -30,8 +30,8 @@ from handover_marl.datasets.generated.hands import (
 )
 from handover_marl.datasets.generated.random_stream import RandomStream
 from handover_marl.datasets.generated.shapes import Solid, normalize
-from handover_marl.geometry.arrays import compute_cross_products
 from handover_marl.geometry.model_files.meshes import find_farthest_points
+from handover_marl.geometry.vectors import compute_cross_products
 
 Array = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]

@@ -24,7 +24,6 @@ from handover_marl.datasets.generated.random_stream import (
     UP_AXES,
     RandomStream,
 )
-from handover_marl.geometry.arrays import compute_cross_products
 from handover_marl.geometry.model_files.meshes import compute_convex_hull, read_collision_mesh
 from handover_marl.geometry.panda import (
     GRIPPER_FROM_HAND,
@@ -41,6 +40,7 @@ from handover_marl.geometry.poses import (
     transform_points,
 )
 from handover_marl.geometry.rotations import matrices_from_euler
+from handover_marl.geometry.vectors import compute_cross_products
 from handover_marl.geometry.ycb import CLASS_NAMES
 
 Array = npt.NDArray[np.float64]

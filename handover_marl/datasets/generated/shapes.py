@@ -15,9 +15,9 @@ import numpy.typing as npt
 
 from handover_marl.assets.shipped import COLLISION_NAME
 from handover_marl.datasets.generated.random_stream import RandomStream
-from handover_marl.geometry.arrays import compute_cross_products
 from handover_marl.geometry.model_files.meshes import compute_convex_hull
 from handover_marl.geometry.model_files.obj_files import read_obj
+from handover_marl.geometry.vectors import compute_cross_products
 
 Array = npt.NDArray[np.float64]
 Faces = npt.NDArray[np.int64]
