@@ -54,7 +54,7 @@ from handover_marl.geometry.arrays import (
 from handover_marl.geometry.panda import FINGERTIPS
 from handover_marl.geometry.poses import inverse_transform_points, transform_points
 from handover_marl.geometry.vectors import compute_lengths
-from handover_marl.planning.clearance import GRIPPER_BOX_CENTERS, GRIPPER_BOX_HALF_SIZES
+from handover_marl.planning.robot_clearance import GRIPPER_BOX_CENTERS, GRIPPER_BOX_HALF_SIZES
 
 #: Values (r,) of terms by name.
 ArrayTerms: TypeAlias = dict[str, AnyArray]

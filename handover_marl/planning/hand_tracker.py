@@ -11,7 +11,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from handover_marl.episode.observations import Observation
-from handover_marl.planning.clearance import Spheres
+from handover_marl.planning.robot_clearance import Spheres
 
 Array = npt.NDArray[np.float64]
 

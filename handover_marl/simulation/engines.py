@@ -9,7 +9,7 @@ from handover_marl.config import PandaConfig, PhysicsConfig
 from handover_marl.errors import OptionError, check_name
 from handover_marl.execution.options import is_installed, is_pybullet_installed, require_modules, require_pybullet
 from handover_marl.geometry.arrays import ArrayFactory
-from handover_marl.simulation.clearance import DistanceQuery
+from handover_marl.simulation.distance_queries import DistanceQuery
 from handover_marl.simulation.grasp_validation import GraspValidationConfig
 from handover_marl.simulation.world import World
 from handover_marl.simulation.worlds import HostWorlds, Worlds
@@ -130,7 +130,7 @@ def make_worlds(config: PhysicsConfig, count: int, backend: BatchBackend, arrays
         from handover_marl.simulation.mujoco.batches.warp_worlds import WarpWorlds
 
         return WarpWorlds(config, count, arrays)
-    from handover_marl.simulation.mujoco.batches.simulation import BatchSimulation
+    from handover_marl.simulation.mujoco.batch_simulation import BatchSimulation
     from handover_marl.simulation.mujoco.world import MujocoWorld
 
     simulation = BatchSimulation()
@@ -149,7 +149,7 @@ def make_distance_query(panda_urdf: Path, config: PandaConfig) -> DistanceQuery:
         from handover_marl.simulation.bullet.kinematics import BulletDistanceQuery
 
         return BulletDistanceQuery(panda_urdf, config)
-    from handover_marl.simulation.mujoco.distances import MujocoDistanceQuery
+    from handover_marl.simulation.mujoco.distance_query import MujocoDistanceQuery
 
     return MujocoDistanceQuery(panda_urdf, config)
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from handover_marl.geometry.model_files.meshes import read_collision_mesh
 from handover_marl.geometry.poses import inverse_transform_points
-from handover_marl.planning.clearance import Spheres, compute_flange_clearances, sample_surface_spheres
+from handover_marl.planning.robot_clearance import Spheres, compute_flange_clearances, sample_surface_spheres
 from handover_marl.policies.policy import PolicyContext
 from handover_marl.receivers.grasp_library import load_hand_poses
 from handover_marl.receivers.reactive.config import GraspSelectorConfig, ReactiveConfig

@@ -31,7 +31,7 @@ from handover_marl.geometry.array_cache import get_cache_path, load_cached_array
 from handover_marl.geometry.model_files.urdf_xml import MAX_URDF_BYTES
 from handover_marl.geometry.panda import GRIPPER_FROM_HAND, PAD_DISTANCE
 from handover_marl.geometry.poses import compose, invert_pose
-from handover_marl.planning.clearance import (
+from handover_marl.planning.robot_clearance import (
     Spheres,
     compute_grasp_clearances,
     compute_open_gripper_clearances,

@@ -10,13 +10,13 @@ from handover_marl.geometry.panda import CLOSED, OPEN
 from handover_marl.geometry.poses import IDENTITY, compose, transform_points
 from handover_marl.geometry.rotations import compute_rotation_angles
 from handover_marl.planning.arm_control import ArmInWorld, ArmServo
-from handover_marl.planning.clearance import Spheres
 from handover_marl.planning.collision_avoidance import (
     MovingBody,
     SeparationConfig,
     enforce_separation,
     select_safe_velocity,
 )
+from handover_marl.planning.robot_clearance import Spheres
 from handover_marl.policies.policy import Action
 from handover_marl.receivers.reactive.scene_estimate import SceneEstimate
 from handover_marl.receivers.reactive.selector import HOME, GraspGoal, GraspSelector

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from handover_marl.geometry.poses import IDENTITY, inverse_transform_points, transform_points
 from handover_marl.geometry.rotations import rotate_points
 from handover_marl.planning.arm_control import ArmInWorld, ArmServo
-from handover_marl.planning.clearance import (
+from handover_marl.planning.robot_clearance import (
     Spheres,
     compute_arm_clearances,
     compute_grasp_clearances,

@@ -11,9 +11,9 @@ from handover_marl.episode.observations import Observation
 from handover_marl.geometry.poses import compose, invert_pose, transform_points
 from handover_marl.geometry.ycb import CLASS_NAMES
 from handover_marl.planning.arm_control import ArmInWorld
-from handover_marl.planning.clearance import Spheres
 from handover_marl.planning.hand_tracker import HandTracker
 from handover_marl.planning.handover_prediction import HandoverPosePredictor
+from handover_marl.planning.robot_clearance import Spheres
 from handover_marl.receivers.reactive.config import ReactiveConfig
 
 Array = npt.NDArray[np.float64]

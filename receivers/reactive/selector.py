@@ -11,14 +11,14 @@ from handover_marl.geometry.arrays import Indices
 from handover_marl.geometry.panda import HALF_TURN, WAITING_JOINTS
 from handover_marl.geometry.poses import compose, invert_pose
 from handover_marl.planning.arm_control import ArmInWorld
-from handover_marl.planning.clearance import (
+from handover_marl.planning.collision_avoidance import PathObstacles, find_via_point, is_path_clear
+from handover_marl.planning.robot_clearance import (
     Spheres,
     compute_arm_clearances,
     compute_grasp_clearances,
     compute_gripper_corners,
     compute_lowest_heights,
 )
-from handover_marl.planning.collision_avoidance import PathObstacles, find_via_point, is_path_clear
 from handover_marl.receivers.reactive.config import ReactiveConfig
 from handover_marl.receivers.reactive.grasp_contact import GraspableObject, compute_hold_costs, find_offset_grasps
 from handover_marl.receivers.reactive.grasps import ValidatedGrasps

@@ -179,7 +179,7 @@ class TagFrame:
 def quaternions_from_matrices(matrices: npt.ArrayLike) -> Float64:
     """Return unit quaternions xyzw (n, 4) of nearly orthogonal matrices (n, 3, 3), as SciPy up to 1.11 computed them.
 
-    The squared norm is summed from left to right, unlike in `geometry.poses`, whose order of sums
+    The squared norm is summed from left to right, unlike in `geometry.rotations`, whose order of sums
     depends on the machine.
     """
     q = unnormalized_quaternions_from_matrices(matrices)

@@ -15,7 +15,7 @@ from handover_marl.config import HAND_DOF, TIME_STEP
 from handover_marl.episode.loop import EpisodeCallback
 from handover_marl.geometry.kinematic_tree import compute_link_trajectory, read_tree
 from handover_marl.geometry.panda import HAND_LINK
-from handover_marl.simulation.clearance import ClearanceMonitor
+from handover_marl.simulation.distance_queries import ClearanceMonitor
 from handover_marl.simulation.engines import make_distance_query
 from handover_marl.simulation.reference_tracking import WRIST_LINK
 

@@ -19,7 +19,7 @@ from handover_marl.geometry.rotations import compute_rotation_angles, multiply_q
 from handover_marl.simulation.bullet.bodies import INERTIAL_POSE, HandBody, PandaBody, reset_base
 from handover_marl.simulation.bullet.client import CONTACT_DISTANCE, connect, load_urdf
 from handover_marl.simulation.bullet.sleepable_bodies import read_bounding_spheres
-from handover_marl.simulation.clearance import DistanceQuery
+from handover_marl.simulation.distance_queries import DistanceQuery
 
 Array = npt.NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from handover_marl.config import PhysicsConfig, ProtocolConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.errors import OptionError, ResetNeededError
 from handover_marl.geometry.kinematic_tree import read_tree
-from handover_marl.simulation.mujoco.batches.simulation import BatchSimulation, HandKinematics, WorldData
+from handover_marl.simulation.mujoco.batch_simulation import BatchSimulation, HandKinematics, WorldData
 from handover_marl.simulation.mujoco.control import ABSENT, compute_controls, count_hand_free_steps, place_hand
 from handover_marl.simulation.mujoco.engine import bullet_xyzw_from_wxyz, chain_joints_from_poses
 from handover_marl.simulation.mujoco.models.scene_model import load_scene_model

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from handover_marl.planning.clearance import Spheres, compute_grasp_clearances
+from handover_marl.planning.robot_clearance import Spheres, compute_grasp_clearances
 from handover_marl.receivers.reactive.grasp_contact import collect_surface_points, compute_pad_margins
 from handover_marl.receivers.reactive.grasps import OFFSET_HAND_CLEARANCE, ValidatedGrasps, perturb_grasps
 

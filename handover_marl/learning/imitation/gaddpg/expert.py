@@ -18,9 +18,9 @@ from handover_marl.geometry.poses import compose, invert_pose
 from handover_marl.learning.imitation.gaddpg.scenarios import ImitationScenario
 from handover_marl.learning.networks.approach_field import compute_approach_steps
 from handover_marl.planning.arm_control import ArmInWorld
-from handover_marl.planning.clearance import Spheres, compute_grasp_clearances, compute_gripper_corners
 from handover_marl.planning.ik_solvers import make_ik_stepper
 from handover_marl.planning.planner import OBJECT_PADDING, Planner, PlannerConfig
+from handover_marl.planning.robot_clearance import Spheres, compute_grasp_clearances, compute_gripper_corners
 from handover_marl.planning.trajectory_cost import Obstacle
 from handover_marl.policies.policy import PolicyContext
 from handover_marl.receivers.reactive.config import ReactiveConfig

@@ -24,8 +24,8 @@ from handover_marl.geometry.poses import compose, inverse_transform_points, inve
 from handover_marl.geometry.rotations import quaternions_from_euler
 from handover_marl.learning.imitation.samples import generate_samples, join_samples, stack_samples
 from handover_marl.planning.arm_control import ArmInWorld
-from handover_marl.planning.clearance import Spheres, compute_grasp_clearances
 from handover_marl.planning.hand_tracker import HandTracker
+from handover_marl.planning.robot_clearance import Spheres, compute_grasp_clearances
 from handover_marl.policies.policy import make_policy_context
 from handover_marl.receivers.reactive.config import ReactiveConfig
 from handover_marl.receivers.reactive.controller import LIMIT_PADDING

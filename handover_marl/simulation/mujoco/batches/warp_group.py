@@ -17,7 +17,7 @@ from handover_marl.geometry.arrays import AnyArray, ArrayFactory, to_numpy
 from handover_marl.simulation.mujoco.batches.warp_model import WarpModel
 from handover_marl.simulation.mujoco.engine import wxyz_from_euler
 from handover_marl.simulation.mujoco.models.scene_model import SceneModel
-from handover_marl.simulation.tensor_state import WarpDevice
+from handover_marl.simulation.warp_device import WarpDevice
 from handover_marl.simulation.world import Contacts, RolloutContacts
 
 # Memory for contacts and constraints of each world. Contacts are shared by all worlds of a group.
