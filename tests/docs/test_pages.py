@@ -9,7 +9,7 @@ import yaml
 
 import handover_marl
 from tests.docs.pages import PAGES, REPOSITORY, name
-from tests.setup_file import list_supported
+from tests.helpers.setup_file import list_supported
 
 README = (REPOSITORY / "README.md").read_text()
 WORKFLOWS = REPOSITORY / ".github" / "workflows"

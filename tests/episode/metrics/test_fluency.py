@@ -30,7 +30,7 @@ from handover_marl.receivers import make
 from handover_marl.simulation.bullet.kinematics import BulletDistanceQuery
 from handover_marl.simulation.distance_queries import ClearanceMonitor, DistanceQuery
 from handover_marl.simulation.world import AgentJoints, Contacts
-from tests.playing import play
+from tests.helpers.playing import play
 
 PERIOD = SAMPLE_STEPS * TIME_STEP
 N = 251  # samples in 5 s, including the one at the start
