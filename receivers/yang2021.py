@@ -104,7 +104,6 @@ class Yang2021Receiver(Receiver):
         OptionError: `wait` or an option is out of range, or an option is unknown.
 
     Attributes:
-        config: Constants of the method.
         phase: Phase (n,) of each episode, a `YangPhase`.
         selected: World poses (n, 2, 7) of the hand link at the selected standoffs and grasps; nan without selection.
     """

@@ -28,7 +28,6 @@ class Episodes:
         backend: Engine and device of the simulation.
 
     Attributes:
-        config: Simulated world, protocol and limits of the givers.
         arrays: Creator of NumPy arrays, or of tensors on the device of MuJoCo Warp.
         motion: Motion of the givers.
         referees: Referee states.

@@ -125,11 +125,7 @@ class KinematicTree:
         return np.concatenate([origins[:, chosen], quaternions_from_matrices(rotations[:, chosen])], axis=-1)
 
     def get_link(self, name: str) -> int:
-        """Return the number of the link with a name.
-
-        Raises:
-            ValueError: There is no such link.
-        """
+        """Return the number of the link with a name; raise `ValueError` if there is none."""
         return [joint.link for joint in self.joints].index(name)
 
     def compute_reach(self, link: int, spheres: Mapping[int, BoundingSphere]) -> float:

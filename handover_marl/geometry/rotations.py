@@ -93,10 +93,7 @@ def quaternions_from_matrices(matrices: AnyArray) -> AnyArray:
 
 
 def unnormalized_quaternions_from_matrices(matrices: AnyArray) -> AnyArray:
-    """Convert rotation matrices (..., 3, 3) to quaternions (..., 4) xyzw without normalisation.
-
-    A quaternion is scaled by 4 times its largest entry.
-    """
+    """Convert rotation matrices (..., 3, 3) to quaternions (..., 4) xyzw, scaled by 4 times their largest entries."""
     xp, given = as_arrays(matrices)
     m = xp.astype(given, xp.float64, copy=False)
     trace = m[..., 0, 0] + m[..., 1, 1] + m[..., 2, 2]

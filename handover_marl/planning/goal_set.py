@@ -151,9 +151,8 @@ class GoalSetBuilder:
     def build(self, grasps: Array, objects: Sequence[Obstacle], person: Obstacle | None) -> GoalSet:
         """Return the goals at which the hand link reaches one of the grasps, poses (n, 7; xyzw) in the base frame.
 
-        The arm must not collide with `objects` at a standoff. If the person's hand is given as `person`, goals with too
-        little clearance to it are excluded if others exist. One of several similar goals is kept, that with the largest
-        clearance. The order of the goals is random.
+        The arm must not collide with `objects` at a standoff. Goals with too little clearance to the person's hand,
+        `person`, are excluded if others exist; of similar goals, that with most clearance is kept. Order is random.
         """
         goals = self._add_wrist_flips(self._solve_tails(grasps))
         goals = goals.select(self._is_rotated_little(goals.goals))

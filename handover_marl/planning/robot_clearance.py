@@ -122,10 +122,7 @@ def compute_flange_clearances(hands: Array, spheres: Spheres) -> Array:
 
 
 def compute_open_gripper_clearances(hands: Array, spheres: Spheres) -> Array:
-    """Return signed clearances (n,) in m of open gripper and flange from a body, negative on overlap.
-
-    The hand link is at poses (n, 7), quaternion xyzw, in the frame of the body.
-    """
+    """Return clearances (n,) in m, negative on overlap, of a body to open gripper and flange at hand poses (n, 7)."""
     local = _points_in_hands(hands, spheres.centers)
     boxes = zip(GRIPPER_BOX_CENTERS, GRIPPER_BOX_HALF_SIZES, strict=True)
     by_box = [(_box_distances(local - center, half) - spheres.radii).min(axis=1) for center, half in boxes]

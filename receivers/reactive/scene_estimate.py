@@ -36,9 +36,7 @@ _MIN_OPENING, _EMPTY_FINGER_POSITION = 1e-4, 0.0015
 
 
 class SceneEstimate(ABC):
-    """Estimate of the states of robot, object and person's hand during one episode.
-
-    Subclasses update the estimates of object and hand, and implement `has_released`.
+    """Estimate of the states of robot, object and person's hand in an episode; subclasses track object and hand.
 
     Args:
         arm: Kinematics of the arm.
@@ -53,7 +51,6 @@ class SceneEstimate(ABC):
         object_pose: (7,) world pose of the object that is handed over, quaternion xyzw.
         motion: Predictor of the handover pose from the object's motion.
         obstacles: Spheres in the world that approximate the other objects within reach; None if there are none.
-        person: Tracker of the person's hand.
     """
 
     def __init__(self, arm: ArmInWorld, config: ReactiveConfig, person: HandTracker) -> None:

@@ -135,8 +135,7 @@ class GraspSelector:
 
         Args:
             poses: (n, 7) poses of the hand link in the object's frame, quaternion xyzw.
-            costs: (n,) costs in seconds of arm motion, higher for grasps that are less likely to hold the object. The
-                cost of grasps that failed in this episode is included.
+            costs: (n,) costs in seconds of arm motion, higher for grasps that may not hold or have failed before.
             surface: Spheres that approximate the object, in its frame.
             chosen: Index in `poses` of the grasp that was selected last; None clears the selection.
         """

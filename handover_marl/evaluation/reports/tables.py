@@ -207,10 +207,7 @@ class ReportTable:
         return self.format()
 
     def select(self, columns: Sequence[str]) -> "ReportTable":
-        """Return a table with the given columns, in the given order; all columns if none are given.
-
-        If a column does not exist, the returned table has no rows.
-        """
+        """Return a table with the given columns in this order, all for none; it has no rows if a column is missing."""
         if not columns:
             return self
         if not set(columns) <= set(self.header):

@@ -36,7 +36,6 @@ class FunctionPolicy(Policy):
 
     Attributes:
         function: Function from inputs to outputs.
-        spec: Agent, and encoding of inputs and outputs.
         scheme: Action scheme that decodes the outputs.
 
     Raises:

@@ -67,7 +67,6 @@ class ArticulatedBody:
         flags: Flags of PyBullet's `loadURDF`.
 
     Attributes:
-        client: Physics client.
         id: PyBullet body number.
         n_links: Number of links without the base link.
         joints: PyBullet joint numbers of the moving joints.

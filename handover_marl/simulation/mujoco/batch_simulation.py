@@ -37,7 +37,6 @@ class WorldData:
             batch: each rollout starts with setting its state.
 
     Attributes:
-        scene: Model of the scene.
         batch: Batch of MuJoCo that simulates the world.
         released: Whether the human has released the target object.
         qpos: Writable view of the joint positions (q,), like the following arrays.

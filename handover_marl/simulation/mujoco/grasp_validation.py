@@ -183,9 +183,8 @@ class GraspValidator:
     def _set_hand_before(self, grasp: Array, distance: float) -> None:
         """Set the Panda hand to a grasp pose (4, 4), moved back by a distance (m) along the approach direction."""
         self._data.mocap_pos[self._hand] = grasp[:3, 3] - distance * grasp[:3, 2]
-        self._data.mocap_quat[self._hand] = wxyz_from_xyzw(
-            quaternions_from_matrices(grasp[:3, :3] @ _GRIPPER_FROM_HAND)
-        )
+        rotation = quaternions_from_matrices(grasp[:3, :3] @ _GRIPPER_FROM_HAND)
+        self._data.mocap_quat[self._hand] = wxyz_from_xyzw(rotation)
 
     def _has_contact(self) -> bool:
         """Return whether Panda hand and object touch in their current poses."""

@@ -164,8 +164,8 @@ class GraspExpert:
             occluder: (4,) world center and radius of the occluding sphere (m); radius 0 for none.
 
         Returns:
-            (g, 7) world poses of the hand link and (g,) costs (m) that exclude the distance from the present pose. The
-            order is ascending in the cost with this distance.
+            (g, 7) world poses of the hand link, cheapest first if the distance from the present pose counts, and (g,)
+            costs (m) that exclude this distance.
         """
         poses, hold_costs = load_costed_grasps(self._context, object_name)
         if not len(poses):

@@ -84,7 +84,6 @@ class WarpGroup:
         arrays: Creator of tensors on the device.
 
     Attributes:
-        scene: The first scene, as above.
         state: Joint positions, velocities, warm starts and sensor data (n, ...) by MuJoCo's names.
         released: Whether the target object of each world is released, (n,).
     """
