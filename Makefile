@@ -51,7 +51,7 @@ fast: $(VENV)/.tested-with
 lint: $(VENV)/.tested-with
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/python -m tests.line_budgets
+	$(BIN)/python .ci/line_budgets.py
 
 # Scripts are modules without a package, which import each other by their names.
 SCRIPTS = $(shell find experiments -name '*.py')

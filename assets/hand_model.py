@@ -26,6 +26,7 @@ import numpy.typing as npt
 
 from handover_marl.assets.shipped import TEMPLATES_PACKAGE
 from handover_marl.geometry.model_files.urdf import render_urdf
+from handover_marl.geometry.rotations import matrices_from_euler
 
 Side = Literal["left", "right"]
 FloatArray = npt.NDArray[np.float64]
@@ -199,18 +200,6 @@ class HandGeometry:
             last = positions[..., first + 2, :] + ends[..., first + 1, :]
             points += [positions[..., first : first + 3, :], last[..., None, :]]
         return np.concatenate(points, axis=-2)
-
-
-def matrices_from_euler(angles: npt.ArrayLike) -> FloatArray:
-    """Return rotation matrices (..., 3, 3) of intrinsic XYZ Euler angles (..., 3) (rad)."""
-    values = np.asarray(angles, dtype=np.float64)
-    (sx, sy, sz), (cx, cy, cz) = np.moveaxis(np.sin(values), -1, 0), np.moveaxis(np.cos(values), -1, 0)
-    entries = [
-        *(cy * cz, -cy * sz, sy),
-        *(cx * sz + sx * sy * cz, cx * cz - sx * sy * sz, -sx * cy),
-        *(sx * sz - cx * sy * cz, sx * cz + cx * sy * sz, cx * cy),
-    ]
-    return np.stack(entries, axis=-1).reshape(*values.shape, 3)
 
 
 def _compute_reference_bones() -> Mapping[str, tuple[FloatArray, FloatArray]]:

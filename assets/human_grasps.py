@@ -11,8 +11,7 @@ import numpy.typing as npt
 
 from handover_marl.assets.hand_model import SIDES, Side
 from handover_marl.assets.shipped import load_shipped_arrays
-from handover_marl.geometry.poses import rotate_points
-from handover_marl.geometry.rotations import euler_from_matrices
+from handover_marl.geometry.rotations import euler_from_matrices, rotate_points
 from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES
 
 #: Path of the grasps, made by `building/grasps.py`.

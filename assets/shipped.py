@@ -127,7 +127,7 @@ def find_vision_weights(setup: str) -> Path:
 
 
 def load_object_grasps(name: str) -> npt.NDArray[np.float64] | None:
-    """Load gripper poses (100, 4, 4) at robot grasps of a YCB class in the object's frame (m); None without grasps.
+    """Load gripper poses (100, 4, 4) at robot grasps of a YCB class in the object's frame (m), or None if it has none.
 
     Raises:
         UnknownNameError: The class does not exist.

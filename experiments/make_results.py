@@ -119,7 +119,7 @@ class Evaluation:
         contact: Number of episodes with a contact of robot and hand.
         drop: Number of drops.
         timeout: Number of timeouts.
-        exec_s: Mean execution time of the successes (s), or None without successes.
+        exec_s: Mean execution time of the successes (s), or None if there are no successes.
         as_percent: Average success (AS): mean over all episodes of 1 - t / 13 s for a success at
             time t and 0 for a failure, in percent.
         version: Version of the library.

@@ -13,7 +13,7 @@ from handover_marl.episode.loop import steps_from_hold_time
 from handover_marl.episode.observations import Observation, add_episode_axis
 from handover_marl.errors import OptionError
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ONLY_ROW, AnyArray, AnyIndices, ArrayFactory, widen
-from handover_marl.geometry.poses import compute_lengths
+from handover_marl.geometry.vectors import compute_lengths
 from handover_marl.policies.batch import Actions, make_giver_actions
 from handover_marl.policies.policy import Action, Giver, PolicyContext
 

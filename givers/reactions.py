@@ -10,8 +10,9 @@ from handover_marl.config import CheckedConfig, bounded
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, ArrayFactory, widen
 from handover_marl.geometry.panda import FINGERTIPS
-from handover_marl.geometry.poses import compute_dot_products, compute_lengths, rotate_points, transform_points
-from handover_marl.geometry.rotations import quaternions_from_rotation_vectors
+from handover_marl.geometry.poses import transform_points
+from handover_marl.geometry.rotations import quaternions_from_rotation_vectors, rotate_points
+from handover_marl.geometry.vectors import compute_dot_products, compute_lengths
 from handover_marl.givers.array_giver import ArrayGiver, compute_gripper_object_distances
 from handover_marl.policies.batch import Actions
 
@@ -236,7 +237,7 @@ class WithdrawingConfig(CheckedConfig):
         max_speed: Speed of the gripper towards the wrist above which the hand withdraws (m/s).
         max_distance: Distance from gripper to wrist beyond which the hand does not withdraw (m).
         withdrawal: Distance by which the hand withdraws (m).
-        return_after: Time after which the hand returns, unless the gripper approaches fast (s).
+        return_after: Time from the last fast approach to the return of the hand (s).
     """
 
     max_speed: float = bounded(0.25, 0.0, 2.0)

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from handover_marl.config import CheckedConfig, bounded
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import AnyIndices, to_numpy, widen
-from handover_marl.geometry.poses import compute_lengths
+from handover_marl.geometry.vectors import compute_lengths
 from handover_marl.geometry.ycb import CLASS_NAMES
 from handover_marl.givers.array_giver import ArrayGiver
 from handover_marl.policies.batch import Actions
@@ -84,8 +84,8 @@ class HurriedConfig(CheckedConfig):
     """Configuration of `HurriedGiver`.
 
     Attributes:
-        min_rate: Smallest playback rate minus 1; negative values are slower than recorded.
-        max_rate: Largest playback rate minus 1.
+        min_rate: Smallest playback speed relative to the recording, minus 1: negative values are slower.
+        max_rate: Largest playback speed relative to the recording, minus 1.
     """
 
     ordered_fields: ClassVar = (("min_rate", "max_rate"),)
@@ -323,7 +323,7 @@ class RecordingSpreadGiver(ArrayGiver):
 
     @property
     def weights_hash(self) -> str:
-        """Hash of the file with the standard deviations, which determine the behaviour like weights."""
+        """SHA-256 of the file with the standard deviations, which take the place of a network's weights."""
         return hashlib.sha256(_SPREAD_FILE.read_bytes()).hexdigest()
 
     def start(self, row: int, seed: int | None) -> None:

@@ -296,7 +296,7 @@ class WorldConfig(CheckedConfig):
         """Draw the robot's joint positions (9,) at the start of an episode: 7 arm joints (rad) and 2 fingers (m).
 
         Args:
-            seed: Seed of the draw; without noise the positions do not depend on it.
+            seed: Seed of the draw; the positions do not depend on it if there is no noise.
         """
         joints = self.physics.panda.start_joints
         if self.initial_joint_noise == 0.0:

@@ -36,7 +36,7 @@ from handover_marl.episode.spaces import FULL_POINTCLOUD
 from handover_marl.errors import OptionError, PolicyError
 from handover_marl.execution.options import require_modules
 from handover_marl.geometry.panda import CLOSED, OPEN
-from handover_marl.geometry.poses import quaternion_from_matrix
+from handover_marl.geometry.rotations import quaternions_from_matrices
 from handover_marl.planning.ik_solvers import IkStepper, make_ik_stepper
 from handover_marl.policies.policy import Action, PolicyContext, require_reset
 from handover_marl.receivers.phases import CLOSE_MS, RETREAT_STEP, PhasedReceiver
@@ -255,7 +255,7 @@ class GaddpgReceiver(PhasedReceiver):
         goal = pose @ _matrix_from_step(step)
         self.memory.remaining -= 1
         solver = self._solver
-        target = solver.to_world_frame(np.concatenate([goal[:3, 3], quaternion_from_matrix(goal[:3, :3])]))
+        target = solver.to_world_frame(np.concatenate([goal[:3, 3], quaternions_from_matrices(goal[:3, :3])]))
         return solver.solve_step(observation["robot_joint_position_exact"], target[:3], target[3:])
 
     def _plan_retreat(self, observation: Observation) -> list[Array]:

@@ -18,7 +18,7 @@ Array = npt.NDArray[np.float64]
 
 @functools.lru_cache(maxsize=1024)
 def load_gripper_poses(grasps: Callable[[str], Array | None], object_name: str) -> Array | None:
-    """Return the known gripper poses (n, 7) in the frame of an object class, or None without any; cached.
+    """Return the known gripper poses (n, 7), xyz and xyzw, in the frame of an object class, or None; cached.
 
     The function `grasps` is that of `PolicyContext`; its poses are those of the gripper, as grasp files define it.
     """
@@ -27,7 +27,7 @@ def load_gripper_poses(grasps: Callable[[str], Array | None], object_name: str) 
 
 
 def load_hand_poses(grasps: Callable[[str], Array | None], object_name: str) -> Array | None:
-    """Return the hand link's poses (n, 7) at the known grasps of an object class, or None; see `load_gripper_poses`."""
+    """Return the hand link's poses (n, 7), xyz and xyzw, at the known grasps of an object class, or None if unknown."""
     grippers = load_gripper_poses(grasps, object_name)
     return None if grippers is None else compose(grippers, np.array(GRIPPER_FROM_HAND))
 
@@ -36,7 +36,7 @@ class GraspTable:
     """Grasps of object classes in arrays, which are padded to the largest number of grasps of a class.
 
     Args:
-        load: Function from a class number to NumPy arrays (g, ...) of the class's g grasps, or None without any; called
+        load: Function from a class number to NumPy arrays (g, ...) of the class's g grasps, or None if g is 0; called
             when a class is needed first.
         arrays: Creator of the arrays.
 

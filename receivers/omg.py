@@ -63,7 +63,7 @@ class OmgReceiver(PhasedReceiver):
         OptionError: The extra `planning` is not installed.
 
     Attributes:
-        world_from_base: (7,) world pose of the robot's base, in whose frame plans are given.
+        world_from_base: (7,) world pose (quaternion xyzw) of the robot's base, in whose frame plans are given.
         has_planned: Whether the receiver has planned in this episode, successfully or not.
         plan: Planned trajectory of this episode; None before planning, or if no grasp is reachable.
     """
@@ -96,7 +96,7 @@ class OmgReceiver(PhasedReceiver):
 
     @property
     def planned_goal(self) -> Array | None:
-        """(w, 7) world poses of the hand link at all waypoints of the plan; None without a plan and in the retreat."""
+        """(w, 7) world poses (quaternion xyzw) of the hand link along the plan; None in the retreat or with no plan."""
         if self.plan is None or self._retreat:
             return None
         chain = self.arm.compute_chain_frames(self.plan.trajectory)

@@ -19,13 +19,9 @@ from handover_marl.episode.observations import Observation, add_episode_axis
 from handover_marl.geometry import panda
 from handover_marl.geometry.arm import IkSolver
 from handover_marl.geometry.arrays import ONLY_ROW, AnyIntegers, Indices
-from handover_marl.geometry.poses import (
-    compose,
-    compute_dot_products,
-    compute_lengths,
-    compute_pose_distances,
-    compute_rotation_angles,
-)
+from handover_marl.geometry.poses import compose, compute_pose_distances
+from handover_marl.geometry.rotations import compute_rotation_angles
+from handover_marl.geometry.vectors import compute_dot_products, compute_lengths
 from handover_marl.planning.ik_solvers import ThreadIkSolver
 from handover_marl.policies.policy import (
     Action,
@@ -51,7 +47,7 @@ class YangConfig(CheckedConfig):
         decision_period: Time between decisions during the approach (s).
         close_time: Time for which the fingers close (s).
         close_decision_period: Time between decisions while the fingers close; longer ones are faster in batches (s).
-        standoff: (7,) standoff pose of the hand link, in the frame of the hand link at the grasp.
+        standoff: (7,) standoff pose (quaternion xyzw) of the hand link, in the frame of the hand link at the grasp.
         preferred_pose: (7,) world pose of the hand link near which a standoff has a low cost.
         rotation_weight: Weight of rotations relative to squared distances in a standoff's cost.
         max_candidates: Maximum number of grasps that are checked for reachability.
@@ -108,7 +104,6 @@ class Yang2021Receiver(Receiver):
         OptionError: `wait` or an option is out of range, or an option is unknown.
 
     Attributes:
-        config: Constants of the method.
         phase: Phase (n,) of each episode, a `YangPhase`.
         selected: World poses (n, 2, 7) of the hand link at the selected standoffs and grasps; nan without selection.
     """
@@ -137,7 +132,7 @@ class Yang2021Receiver(Receiver):
     def _allocate(self, count: int) -> None:
         self.phase, self._close_until = np.full(count, int(YangPhase.WAIT)), np.zeros(count)
         self.selected = np.full((count, 2, 7), np.nan)
-        # Last selected standoffs, near which the next ones have a low cost; nan without one.
+        # Last selected standoffs, near which the next ones have a low cost; nan if there is none.
         self._references = np.full((count, 7), np.nan)
         self._goals = np.zeros((count, ARM_DOF))
 
@@ -160,7 +155,7 @@ class Yang2021Receiver(Receiver):
 
     @property
     def planned_goal(self) -> npt.NDArray[np.float64] | None:
-        """(2, 7) world poses of the hand link at standoff and grasp; None except in the approach."""
+        """(2, 7) world poses (quaternion xyzw) of the hand link at standoff and grasp; None except in the approach."""
         selected = self.selected[0]
         return selected if self.phase[0] == YangPhase.APPROACH and not np.isnan(selected).any() else None
 
@@ -247,7 +242,7 @@ class Yang2021Receiver(Receiver):
         return in_region, at_grasp
 
     def _move_to_standoffs(self, rows: Indices, observation: Observation) -> Array:
-        """Select the cheapest reachable standoffs, and return the arm joints (r, 7) there in rad, nan without one."""
+        """Select the cheapest reachable standoffs, and return the arm joints (r, 7) there in rad, nan if none is."""
         joints = observation["robot_joint_position"]
         arms = np.full((len(joints), ARM_DOF), np.nan)
         index = self._table.find(observation["object_classes"][:, 0])

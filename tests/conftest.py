@@ -15,7 +15,7 @@ import pytest
 from hypothesis import settings
 
 from handover_marl.datasets import DATA_DIR_VARIABLE, OfficialDataset
-from tests.fake_layout import write_layout
+from tests.helpers.fake_layout import write_layout
 
 # The time of an example depends on what else the machine does.
 settings.register_profile("tests", deadline=None)

@@ -20,7 +20,7 @@ from handover_marl.episode.episode import Episode
 from handover_marl.execution.options import is_pybullet_installed
 from handover_marl.planning.ik_solvers import PandaIkSolver
 from handover_marl.receivers import make, yang2021
-from tests.playing import play
+from tests.helpers.playing import play
 
 pytest.importorskip("mujoco", reason="without PyBullet, MuJoCo is what plays")
 

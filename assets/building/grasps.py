@@ -208,7 +208,7 @@ def build_grasp_validations(
 
 
 def _validate_object(task: tuple[Path | None, str, str]) -> tuple[str, ValidationRecord] | None:
-    """Validate the robot grasps of an object: return the name and the record of the result, None without grasps."""
+    """Validate the robot grasps of an object: return name and record of the result, or None if it has no grasps."""
     data_dir, robot, name = task
     data = open_dataset("dexycb" if data_dir else "synthetic", data_dir, robot)
     known = load_hand_poses(data.load_grasps, name)

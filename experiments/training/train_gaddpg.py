@@ -96,7 +96,7 @@ def make_tasks(args: Args, plans: ExpertPlans, number: int) -> list[RolloutTask]
 
 
 def main(args: Args) -> Path:
-    """Train in all rounds; return the path of the weights of the network that was best on the validation split."""
+    """Train in all rounds; return the weight file of the network with the highest success on the validation split."""
     data = args.open_dataset(PANDA_CAMERA)
     scenes = list_shared_scenes(data, args.setups)
     torch.manual_seed(args.seed)

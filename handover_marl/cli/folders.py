@@ -106,7 +106,7 @@ def run_compare(
     """Compare two evaluations scene by scene.
 
     Args:
-        first: Result folder, or a file of docs/results/data/episodes.
+        first: Result folder, or a JSON file of outcomes such as those in docs/results/data/episodes.
         second: Result folder or file of the same setup, split and data.
     """
     from handover_marl.evaluation.comparison import compare

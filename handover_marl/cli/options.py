@@ -46,7 +46,7 @@ class TableArguments:
 
     Attributes:
         style: Format of the printed tables.
-        columns: Titles of columns; only tables that have all of them are printed, with these columns alone.
+        columns: Titles of columns; only tables that have all of them are printed, with only these columns.
     """
 
     style: Annotated[Literal["markdown", "csv", "latex"], tyro.conf.arg(name="format")] = "markdown"

@@ -33,7 +33,7 @@ _HEADER_BYTES = 1000
 
 
 class FileOrigin(Enum):
-    """Origin of a model or grasp file: HandoverSim's file, a stand-in of this library, or unknown."""
+    """Origin of a model or grasp file: HandoverSim's, a stand-in (a substitute made by this library), or unknown."""
 
     ORIGINAL = "original"
     STAND_IN = "stand-in"
@@ -102,7 +102,7 @@ def find_origin(assets: Path, path: str) -> FileOrigin:
 
 
 def is_stand_in_file(path: Path) -> bool:
-    """Return whether a file exists, can be read and is marked as a stand-in."""
+    """Return whether a file is a stand-in, a substitute made by this library; False if it cannot be read."""
     return find_origin(path.parent, path.name) is FileOrigin.STAND_IN
 
 

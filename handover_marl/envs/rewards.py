@@ -52,8 +52,9 @@ from handover_marl.geometry.arrays import (
     widen,
 )
 from handover_marl.geometry.panda import FINGERTIPS
-from handover_marl.geometry.poses import compute_lengths, inverse_transform_points, transform_points
-from handover_marl.planning.clearance import GRIPPER_BOX_CENTERS, GRIPPER_BOX_HALF_SIZES
+from handover_marl.geometry.poses import inverse_transform_points, transform_points
+from handover_marl.geometry.vectors import compute_lengths
+from handover_marl.planning.robot_clearance import GRIPPER_BOX_CENTERS, GRIPPER_BOX_HALF_SIZES
 
 #: Values (r,) of terms by name.
 ArrayTerms: TypeAlias = dict[str, AnyArray]
@@ -63,7 +64,7 @@ TermNames: TypeAlias = Mapping[str, Iterable[str]]
 #: Distance beyond which the term `clearance` is 0 (m).
 CLEARANCE_MARGIN = 0.1
 # Columns of a stored state: time (s), pose of the hand link, position of the object (m), whether both fingers touch it,
-# wrist (m, NaN without a hand) and its displacement from the recording (m), and whether the object is held out.
+# wrist (m, NaN if there is no hand) and its displacement from the recording (m), and whether the object is held out.
 _TIME, _GRIPPER, _HAND_LINK, _OBJECT, _GRASPED = 0, slice(1, 8), slice(1, 4), slice(8, 11), 11
 _WRIST, _DISPLACEMENT, _OFFERED, _SIZE = slice(12, 15), slice(15, 18), 18, 19
 # Stored states of an episode, the newest last; four positions determine a third difference.

@@ -140,7 +140,7 @@ class WristCameraConfig:
 
     @property
     def noise(self) -> CameraNoise | None:
-        """Noise model of the wrist camera; None without noise."""
+        """Noise model of the wrist camera; None for perfect images."""
         return resolve_camera_noise(self.camera_noise)
 
     def describe(self, obs_mode: str, physics: str) -> str:

@@ -90,9 +90,6 @@ class Episode:
         config: Simulated world, protocol and limits of the giver.
         window: Whether to show PyBullet's window.
         wrist_camera: Configuration of the wrist camera, whose images are rendered only when they are observed.
-
-    Attributes:
-        config: Simulated world, protocol and limits of the giver.
     """
 
     def __init__(

@@ -28,11 +28,10 @@ class Episodes:
         backend: Engine and device of the simulation.
 
     Attributes:
-        config: Simulated world, protocol and limits of the givers.
         arrays: Creator of NumPy arrays, or of tensors on the device of MuJoCo Warp.
         motion: Motion of the givers.
         referees: Referee states.
-        state: Full state of all episodes after their last `observe`: arrays (n, ...) by the keys of
+        state: Full state of all episodes after their last `update_state`: arrays (n, ...) by the keys of
             `state_space`.
     """
 
@@ -104,7 +103,7 @@ class Episodes:
             running = states.status == 0
             rows, robot_targets, giver_actions = rows[running], robot_targets[running], giver_actions[running]
 
-    def observe(self, rows: AnyIndices) -> None:
+    def update_state(self, rows: AnyIndices) -> None:
         """Read the full state of the episodes `rows` from the simulation into the attribute `state`."""
         for key, values in self._worlds.read_state(rows)._asdict().items():
             self.state[key][rows] = values
@@ -114,7 +113,7 @@ class Episodes:
         self.state["time"][rows, 0] = xp.astype(times, xp.float32)
 
     def select_state(self, rows: AnyIndices) -> Observation:
-        """Return copies (r, ...) of the full state of the episodes `rows`, as `observe` has last read it."""
+        """Return copies (r, ...) of the full state of the episodes `rows`, as `update_state` has last read it."""
         return {key: values[rows] for key, values in self.state.items()}
 
     def select_giver_observation(self, rows: AnyIndices) -> Observation:

@@ -25,7 +25,7 @@ from handover_marl.geometry.arrays import (
     widen,
 )
 from handover_marl.geometry.kinematic_tree import KinematicTree, read_tree
-from handover_marl.geometry.poses import quaternions_from_euler, rotate_points
+from handover_marl.geometry.rotations import quaternions_from_euler, rotate_points
 from handover_marl.simulation.reference_tracking import BASE_JOINTS, WRIST_LINK, ReferenceMotion
 
 #: Number of physics steps for which the giver's motion is planned at a time.
@@ -39,7 +39,7 @@ _BASE_LINK = 5
 _HALF = OBJECT_DOF // 2
 
 
-class RecordedFrames(Protocol):
+class Recordings(Protocol):
     """Interface of the recordings of n givers: `rows` (r,) are givers, `frames` (r, k) frame numbers of each."""
 
     def set_scene(self, row: int, scene: Scene) -> None:
@@ -49,10 +49,10 @@ class RecordedFrames(Protocol):
         """Return copies (r, k, ...) of joint positions of hand and objects in frames (r, k) of the givers `rows`."""
 
     def read_poses(self, rows: AnyIndices, frames: AnyArray) -> AnyArray:
-        """Return the recorded poses (r, k, 2, 7) of wrist and target object in frames (r, k) of givers `rows`."""
+        """Return the poses (r, k, 2, 7; xyz, xyzw) of wrist and target object in frames (r, k) of the givers `rows`."""
 
 
-class HostFrames:
+class NumpyRecordings:
     """Recorded frames as NumPy arrays, which are read from the scenes.
 
     Args:
@@ -83,14 +83,14 @@ class HostFrames:
         return ReferenceMotion(objects, hand, present)
 
     def read_poses(self, rows: Indices, frames: Indices) -> AnyArray:
-        """Return the recorded poses (r, k, 2, 7) of wrist and target object in frames (r, k) of givers `rows`."""
+        """Return the poses (r, k, 2, 7; xyz, xyzw) of wrist and target object in frames (r, k) of the givers `rows`."""
         poses = np.empty((*frames.shape, 2, 7), dtype=np.float32)
         for index, row in enumerate(rows.tolist()):
             poses[index] = self._poses[row][frames[index]]
         return poses
 
 
-class DeviceFrames:
+class TensorRecordings:
     """Recorded frames as tensors, which stay on the device. A recording of DexYCB takes 1.1 MB.
 
     Args:
@@ -123,7 +123,7 @@ class DeviceFrames:
         return ReferenceMotion(self._objects.rows[places], self._hand.rows[places], self._present.rows[places])
 
     def read_poses(self, rows: AnyArray, frames: AnyArray) -> AnyArray:
-        """Return the recorded poses (r, k, 2, 7) of wrist and target object in frames (r, k) of givers `rows`."""
+        """Return the poses (r, k, 2, 7; xyz, xyzw) of wrist and target object in frames (r, k) of the givers `rows`."""
         return self._poses.rows[self._firsts[rows][:, None] + frames]
 
 
@@ -184,7 +184,7 @@ class GiverMotion:
 
     def __init__(self, count: int, config: GiverConfig, arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
         self._config, self._arrays = config, arrays
-        self._recorded: RecordedFrames = HostFrames(count) if arrays.xp is np else DeviceFrames(count, arrays)
+        self._recorded: Recordings = NumpyRecordings(count) if arrays.xp is np else TensorRecordings(count, arrays)
         self._last_frame, self._pick_up = arrays.zeros(count, "int64"), arrays.zeros(count, "int64")
         self._wrists_in_base = arrays.zeros((count, 3))
         self.state = GiverState(

@@ -185,7 +185,6 @@ class EpisodeAgent:
         seed: Seed of the run.
 
     Attributes:
-        agent: Agent that the policy acts for, "giver" or "receiver".
         action: Action that is held; empty before the first decision.
         due: Physics step from which on the policy is to be called again.
         planning_time: Wall-clock time of the last call of the policy (s), without rendering.

@@ -56,7 +56,7 @@ class WarpWristCamera:
             assets: Models of the scene.
             seed: Seed of the subsampling of point clouds, 32 bits.
         """
-        self._camera.reset(row, assets)
+        self._camera.load_scene(row, assets)
         self._seeds[row] = seed
 
     def observe(self, rows: AnyArray, state: Observation, steps: AnyArray) -> Observation:
@@ -65,7 +65,7 @@ class WarpWristCamera:
         Args:
             rows: Indices (r,) of the episodes.
             state: Full state (r, ...) of these episodes.
-            steps: Numbers (r,) of simulated physics steps.
+            steps: Physics steps (r,) since the start of each episode, which seed the random choice of points.
         """
         count = len(rows)
         observation = {key: self._arrays.zeros((count, *shape), dtype) for key, (shape, dtype) in self._formats.items()}

@@ -7,15 +7,16 @@ import numpy as np
 
 from handover_marl.config import TIME_STEP
 from handover_marl.geometry.arrays import AnyArray, get_namespace, is_tensor, widen
-from handover_marl.geometry.poses import (
+from handover_marl.geometry.rotations import (
+    euler_from_quaternions,
     find_nearest_euler,
+    find_nearest_euler_branch,
     multiply_quaternions,
     normalize_quaternions,
     quaternions_from_euler,
+    quaternions_from_rotation_vectors,
     rotate_points,
-    select_nearest_euler,
 )
-from handover_marl.geometry.rotations import euler_from_quaternions, quaternions_from_rotation_vectors
 
 _TOLERANCE = 1e-6  # m, rad
 # Smallest divisor of vectors that may have no length.
@@ -117,11 +118,11 @@ def _continue_euler(angles: AnyArray, previous: AnyArray) -> AnyArray:
     """
     xp, (count, steps) = get_namespace(angles), angles.shape[:2]
     # Mostly the same solution and full turns are right in all steps: try those of the first.
-    solution, turns = select_nearest_euler(angles[:, 0], previous)
+    solution, turns = find_nearest_euler_branch(angles[:, 0], previous)
     other = np.pi + xp.stack([angles[..., 0], -angles[..., 1], angles[..., 2]], axis=-1)
     guess = xp.where((solution == 0)[:, None, None], angles, other) + 2.0 * np.pi * turns[:, None]
     before = xp.concat([previous[:, None], guess[:, :-1]], axis=1)
-    nearest, nearest_turns = select_nearest_euler(angles.reshape(-1, 3), before.reshape(-1, 3))
+    nearest, nearest_turns = find_nearest_euler_branch(angles.reshape(-1, 3), before.reshape(-1, 3))
     is_right = (nearest.reshape(count, steps) == solution[:, None]) & xp.all(
         nearest_turns.reshape(count, steps, 3) == turns[:, None], axis=-1
     )

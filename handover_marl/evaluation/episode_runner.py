@@ -56,7 +56,6 @@ class EpisodeRunner:
         writers: Writers whose recorders observe each episode.
 
     Attributes:
-        config: Resolved configuration.
         dataset: Dataset of the scenes.
         receiver: Policy of the receiver.
         giver: Policy of the giver, or None for the replayed one, which cannot fail and takes no time.

@@ -89,7 +89,7 @@ def format_replay_facts(config: EvaluationConfig, models: str) -> str:
 
     Args:
         config: Resolved configuration of the evaluation.
-        models: Description of substitutes for HandoverSim's models; empty without any.
+        models: Description of substitutes for HandoverSim's models; empty if there are none.
     """
     receiver, giver = require_policy_reference(config.receiver), require_policy_reference(config.giver)
     camera = config.wrist_camera.describe(receiver.obs_mode, config.physics)

@@ -247,7 +247,7 @@ class ResultFolder(EpisodeWriter):
         return result
 
     def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
-        """Create the recorder of actions and planning times, and the function that returns a result file's content."""
+        """Return a recorder of actions and planning times, and the function that makes a result file of them."""
         recorder = ActionRecorder()
         return recorder, lambda result, _: encode_result(result, recorder.actions, recorder.times)
 

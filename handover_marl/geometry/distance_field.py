@@ -39,16 +39,16 @@ class DistanceField:
     cell: float
 
     def compute_distances(self, points: Floats) -> Floats:
-        """Interpolate signed distances (n,) in m at points (3, n) in the surface's frame.
+        """Interpolate signed distances (n,) in m, negative inside, at points (3, n) in m in the surface's frame.
 
-        Points outside the grid get `OUTSIDE_DISTANCE`.
+        Points outside the grid get `OUTSIDE_DISTANCE`, 1 m.
         """
         return self._interpolate(points, with_gradients=False)[0]
 
     def compute_distances_and_gradients(self, points: Floats) -> tuple[Floats, Floats]:
-        """Interpolate signed distances (n,) in m and their gradients (3, n) at points (3, n) in the surface's frame.
+        """Interpolate signed distances (n,) in m and gradients (3, n) at points (3, n) in m in the surface's frame.
 
-        Points outside the grid get `OUTSIDE_DISTANCE` and a gradient of zero.
+        Distances are negative inside. Points outside the grid get `OUTSIDE_DISTANCE`, 1 m, and a gradient of zero.
         """
         return self._interpolate(points, with_gradients=True)
 
@@ -78,7 +78,7 @@ class DistanceField:
 
 
 def sample_distance_field(distance: Callable[[Array], Array], lower: Array, upper: Array, cell: float) -> DistanceField:
-    """Sample a function `distance` from points (n, 3) to signed distances (n,) in m on a grid over a box.
+    """Sample a function from points (n, 3) to signed distances (n,) in m, negative inside, on a grid over a box.
 
     The grid starts at the corner `lower` (3,) of the box, reaches `upper` (3,), and has the spacing `cell` (m).
     """

@@ -17,7 +17,8 @@ from scipy.spatial.transform import Rotation
 from handover_marl.errors import OptionError, SimulationError
 from handover_marl.geometry.arrays import AnyArray, ArrayFactory, RowBank, get_namespace, make_constant
 from handover_marl.geometry.model_files.urdf_xml import parse_urdf, read_attribute
-from handover_marl.geometry.poses import IDENTITY, quaternion_from_matrix, rotate_points, transform_points
+from handover_marl.geometry.poses import IDENTITY, transform_points
+from handover_marl.geometry.rotations import quaternions_from_matrices, rotate_points
 
 Array = npt.NDArray[np.float64]
 
@@ -121,21 +122,17 @@ class KinematicTree:
         """Compute base-frame poses (n, k, 7), quaternions xyzw, of k links by number at joints (n, d) (rad, m)."""
         origins, rotations = self.compute_link_frames(dof)
         chosen = list(links)
-        return np.concatenate([origins[:, chosen], quaternion_from_matrix(rotations[:, chosen])], axis=-1)
+        return np.concatenate([origins[:, chosen], quaternions_from_matrices(rotations[:, chosen])], axis=-1)
 
     def get_link(self, name: str) -> int:
-        """Return the number of the link with a name.
-
-        Raises:
-            ValueError: There is no such link.
-        """
+        """Return the number of the link with a name; raise `ValueError` if there is none."""
         return [joint.link for joint in self.joints].index(name)
 
     def compute_reach(self, link: int, spheres: Mapping[int, BoundingSphere]) -> float:
         """Compute the largest distance (m) from a link's origin to the shapes of the link and its descendants.
 
-        The shapes are given by bounding spheres by link number. The revolute joints between them may have any
-        position, prismatic ones are at zero.
+        `spheres` maps the number of a link to the bounding sphere of its shapes. Revolute joints may have any position,
+        prismatic joints are at zero.
         """
         reaches: dict[int, float] = {}
         # Children follow their parents.

@@ -149,9 +149,6 @@ class SingleScheme(ActionScheme):
     Args:
         scheme: Scheme of n = 1 episode.
         context: Robot, task and known grasps of the objects.
-
-    Attributes:
-        scheme: Scheme of n = 1 episode.
     """
 
     def __init__(self, scheme: ArrayScheme, context: PolicyContext) -> None:

@@ -12,23 +12,17 @@ from gymnasium import spaces
 
 from handover_marl.config import TIME_STEP
 from handover_marl.episode.observations import Observation, giver_observation_space, state_space
-from handover_marl.geometry.arrays import (
-    NUMPY_ARRAYS,
-    AnyArray,
-    ArrayFactory,
-    get_namespace,
-    stack_last,
-    widen,
-)
-from handover_marl.geometry.poses import (
-    IDENTITY,
-    compute_lengths,
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, get_namespace, stack_last, widen
+from handover_marl.geometry.poses import IDENTITY
+from handover_marl.geometry.rotations import (
     conjugate_quaternions,
+    matrices_from_quaternions,
     multiply_quaternions,
     normalize_quaternions,
     rotate_points,
+    rotation_vectors_from_quaternions,
 )
-from handover_marl.geometry.rotations import matrices_from_quaternions, rotation_vectors_from_quaternions
+from handover_marl.geometry.vectors import compute_lengths
 from handover_marl.geometry.ycb import LARGEST_YCB_CLASS
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
 from handover_marl.policies.policy import PolicyContext

@@ -5,8 +5,8 @@ from abc import abstractmethod
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE, giver_action_space
 from handover_marl.geometry.arrays import AnyArray, widen
-from handover_marl.geometry.poses import compute_lengths, rotate_points
-from handover_marl.geometry.rotations import quaternions_from_rotation_vectors
+from handover_marl.geometry.rotations import quaternions_from_rotation_vectors, rotate_points
+from handover_marl.geometry.vectors import compute_lengths
 from handover_marl.givers.reactions import HandoverPoseVariation
 from handover_marl.learning.action_scheme import ArrayScheme, RawScheme
 from handover_marl.learning.array_features import compute_handover_frames, rotate_to_frame, rotate_to_world

@@ -11,7 +11,8 @@ import numpy.typing as npt
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, get_namespace, is_tensor
 from handover_marl.geometry.panda import HALF_TURN
-from handover_marl.geometry.poses import compose, inverse_transform_points, invert_pose, rotate_points
+from handover_marl.geometry.poses import compose, inverse_transform_points, invert_pose
+from handover_marl.geometry.rotations import rotate_points
 from handover_marl.policies.policy import PolicyContext
 from handover_marl.receivers.grasp_library import GraspTable, load_hand_poses
 

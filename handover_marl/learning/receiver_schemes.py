@@ -8,18 +8,16 @@ from handover_marl.geometry.arm import ArmKinematics
 from handover_marl.geometry.arrays import AnyArray, get_namespace, stack_last
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import CLOSED, LOWER_LIMITS, OPEN, UPPER_LIMITS, WAITING_JOINTS
-from handover_marl.geometry.poses import (
-    compute_lengths,
+from handover_marl.geometry.rotations import (
+    compute_rotation_magnitudes,
     conjugate_quaternions,
     multiply_quaternions,
     normalize_quaternions,
-    rotate_points,
-)
-from handover_marl.geometry.rotations import (
-    compute_rotation_magnitudes,
     quaternions_from_rotation_vectors,
+    rotate_points,
     rotation_vectors_from_quaternions,
 )
+from handover_marl.geometry.vectors import compute_lengths
 from handover_marl.learning.action_scheme import ArrayScheme, RawScheme
 from handover_marl.learning.array_features import rotate_to_world
 from handover_marl.policies.policy import PolicyContext

@@ -48,14 +48,14 @@ class ArmInWorld:
         return cls(ArmKinematics(read_tree(urdf)), base, limits)
 
     def compute_hand_poses(self, joints: Array) -> Array:
-        """Return the world poses (n, 7) of the hand link at configurations (n, 7) (rad)."""
+        """Return the world poses (n, 7) (quaternion xyzw) of the hand link at configurations (n, 7) (rad)."""
         chain = self.arm.compute_chain_frames(joints)
         return np.asarray(
             compose(self.base, poses_from_rotations(chain.origins[-1].T, np.moveaxis(chain.rotations[-1], -1, 0)))
         )
 
     def compute_hand_pose(self, joints: Array) -> Array:
-        """Return the world pose (7,) of the hand link at one configuration (7,) (rad)."""
+        """Return the world pose (7,) (quaternion xyzw) of the hand link at one configuration (7,) (rad)."""
         return np.asarray(self.compute_hand_poses(joints[None])[0])
 
     def compute_link_frames(self, joints: Array) -> tuple[Array, Array]:
@@ -88,7 +88,7 @@ class ArmInWorld:
     def solve(
         self, poses: Array, seeds: Array, iterations: int, tolerance: float = 1e-3
     ) -> tuple[Array, npt.NDArray[np.bool_]]:
-        """Solve inverse kinematics for world poses (n, 7) of the hand link from seeds (n, 7) in rad.
+        """Solve inverse kinematics for world poses (n, 7) (quaternion xyzw) of the hand link from seeds (n, 7) in rad.
 
         The tolerance is the maximum error of each component of position (m) and rotation vector (rad). Returns
         configurations (n, 7) in rad after at most `iterations` steps, and whether each one reaches its pose (n,).

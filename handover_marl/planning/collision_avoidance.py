@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from handover_marl.config import CheckedConfig, bounded
 from handover_marl.planning.arm_control import ArmInWorld
-from handover_marl.planning.clearance import (
+from handover_marl.planning.robot_clearance import (
     Spheres,
     compute_arm_clearances,
     compute_lowest_heights,

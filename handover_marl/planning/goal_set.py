@@ -124,7 +124,7 @@ class GoalSet:
 
 
 class GoalSetBuilder:
-    """Builder of goal sets by inverse kinematics, collision checks and removal of near duplicates.
+    """Builder of goal sets by inverse kinematics, collision checks and removal of near duplicates, in the base frame.
 
     Args:
         arm: Kinematics of the arm.
@@ -133,7 +133,7 @@ class GoalSetBuilder:
             the person's hand are computed.
         start: (7,) configuration at which motions start (rad).
         limits: Lower and upper joint limits with padding, (7,) each (rad).
-        unchecked_last: Whether to reproduce the indexing error that `PlannerConfig` describes.
+        unchecked_last: Whether the last five goals skip the collision check, an error in the authors' code.
     """
 
     def __init__(
@@ -149,10 +149,10 @@ class GoalSetBuilder:
         self._unchecked_last = unchecked_last
 
     def build(self, grasps: Array, objects: Sequence[Obstacle], person: Obstacle | None) -> GoalSet:
-        """Return the goals at which the hand link reaches one of the grasps, poses (n, 7) in the base frame.
+        """Return the goals at which the hand link reaches one of the grasps, poses (n, 7; xyzw) in the base frame.
 
-        The arm must not collide with `objects` at a standoff. Goals with too little clearance to `person`, the person's
-        hand or None, are excluded if others exist; of similar goals, that with most clearance is kept. Order is random.
+        The arm must not collide with `objects` at a standoff. Goals with too little clearance to the person's hand,
+        `person`, are excluded if others exist; of similar goals, that with most clearance is kept. Order is random.
         """
         goals = self._add_wrist_flips(self._solve_tails(grasps))
         goals = goals.select(self._is_rotated_little(goals.goals))
@@ -257,7 +257,7 @@ class GoalSelector:
         goals: (g, 7) goal configurations (rad).
         goal_costs: (g,) cost of each goal in addition to the cost of the path to it.
         n_waypoints: Number of waypoints of a trajectory.
-        unchecked_last: Whether to reproduce the indexing error that `PlannerConfig` describes.
+        unchecked_last: Whether only the last goal has no obstacle cost on its tail, an error in the authors' code.
     """
 
     def __init__(

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from handover_marl.episode.observations import Observation
-from handover_marl.planning.clearance import Spheres
+from handover_marl.planning.robot_clearance import Spheres
 
 Array = npt.NDArray[np.float64]
 
@@ -43,7 +43,7 @@ class Capsules:
     radii: Array
 
     def compute_distances(self, points: Array) -> Array:
-        """Return the signed distances (n,) in m from points (n, 3) to the nearest capsule."""
+        """Return the signed distances (n,) in m, negative inside, from points (n, 3) to the nearest capsule."""
         nearest = np.full(len(points), np.inf)
         for start, end, radius in zip(self.starts, self.ends, self.radii, strict=True):
             axis = end - start
@@ -55,7 +55,7 @@ class Capsules:
 
 
 def hand_capsules_from_observation(observation: Observation) -> Capsules | None:
-    """Return capsules in the world that approximate the person's hand, or None without a hand.
+    """Return capsules in the world that approximate the person's hand, or None if there is no hand.
 
     Fingertips are not observed. The last bone of each finger gets the direction of the bone before
     it, rotated by the last joint, and 0.9 of that bone's length.
@@ -93,8 +93,8 @@ class HandTracker:
     """Tracker of the position and velocity of a person's hand during one episode.
 
     Attributes:
-        spheres: Spheres that approximate the hand in the world, or None without a hand.
-        points: (k, 3) keypoints of the hand in the world (m), empty without a hand.
+        spheres: Spheres that approximate the hand in the world, or None if there is no hand.
+        points: (k, 3) keypoints of the hand in the world (m), empty if there is no hand.
         velocity: (3,) filtered velocity of the keypoints' mean (m/s).
     """
 

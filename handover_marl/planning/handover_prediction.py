@@ -83,7 +83,7 @@ class HandoverPosePredictor:
         self._history: deque[tuple[float, Array]] = deque()
 
     def update(self, time: float, pose: Array) -> None:
-        """Update the estimated motion from the object's world pose (7,) at a time (s)."""
+        """Update the estimated motion from the object's world pose (7,) (quaternion xyzw) at a time (s)."""
         if self.start is None:
             self.start = pose[:3].copy()
         elif time > self._time:
@@ -128,7 +128,7 @@ class HandoverPosePredictor:
         return 0.0 if self.start is None else float(np.linalg.norm(self._pose[:3] - self.start))
 
     def predict_handover_pose(self) -> Array:
-        """Return the world pose (7,) at which the object is expected to be held out."""
+        """Return the world pose (7,) (quaternion xyzw) at which the object is expected to be held out."""
         config = self.config
         if self.is_held_still:
             return self.extrapolate_pose(config.held_still_horizon)
@@ -138,7 +138,7 @@ class HandoverPosePredictor:
         return np.concatenate([position, self._rotated(config.rotation_horizon * self.angular_velocity)])
 
     def extrapolate_pose(self, ahead: float) -> Array:
-        """Return the object's world pose (7,) after a short time (s) at its latest velocity."""
+        """Return the object's world pose (7,) (quaternion xyzw) after a short time (s) at its latest velocity."""
         position = self._pose[:3] + ahead * self.latest_velocity
         return np.concatenate([position, self._rotated(ahead * self.latest_angular_velocity)])
 

@@ -188,7 +188,7 @@ class ThreadIkSolver(IkSolver):
         self._find()
 
     def solve_many(self, starts: Joints, positions: Array, orientations: Array | None = None) -> Array:
-        """Return arm joints (n, 7) in rad, nan without convergence, for starts (n, 9) and world poses of the hand."""
+        """Return arm joints (n, 7) in rad, nan where IK fails, for starts (n, 9) and world poses of the hand link."""
         parts = [part for part in (starts[:, :ARM_DOF], positions, orientations) if part is not None]
         keys = [row.tobytes() for row in np.concatenate(parts, axis=1, dtype=np.float64)]
         rows = np.flatnonzero([key not in self._unsolved for key in keys])
@@ -239,7 +239,7 @@ class PandaIkSolver(IkSolver):
         self._reach = ReachabilityBound(self._base)
 
     def solve_many(self, starts: Joints, positions: Array, orientations: Array | None = None) -> Array:
-        """Return arm joints (n, 7) in rad, nan without convergence, for starts (n, 9) and world poses of the hand."""
+        """Return arm joints (n, 7) in rad, nan where IK fails, for starts (n, 9) and world poses of the hand link."""
         found = np.full((len(starts), ARM_DOF), np.nan)
         rows = np.flatnonzero(~self._reach.is_unreachable(positions, orientations, _REACH_DISTANCE, _REACH_ANGLE))
         if len(rows):
@@ -262,11 +262,11 @@ class PandaIkSolver(IkSolver):
         return np.concatenate([closest[0], np.zeros(PANDA_DOF - ARM_DOF)])
 
     def to_base_frame(self, world_from_hand: npt.NDArray[np.floating]) -> Array:
-        """Transform a pose (7,) from the world to the robot's base frame, rounded to float32."""
+        """Transform a pose (7,) (quaternion xyzw) from the world to the robot's base frame, rounded to float32."""
         return np.asarray(compose(self._base_from_world, world_from_hand).astype(np.float32).astype(np.float64))
 
     def to_world_frame(self, base_from_hand: Array) -> Array:
-        """Transform a pose (7,) from the robot's base frame to the world, rounded to float32."""
+        """Transform a pose (7,) (quaternion xyzw) from the robot's base frame to the world, rounded to float32."""
         return np.asarray(compose(self._base, base_from_hand).astype(np.float32).astype(np.float64))
 
     def _search(

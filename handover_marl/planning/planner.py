@@ -122,7 +122,7 @@ class Planner:
         self._start = start
 
     def plan(self, grasps: Array, objects: Sequence[Obstacle], hand: Capsules | None = None) -> Plan | None:
-        """Compute a trajectory to one of the grasps, hand link poses (n, 7); return None if none can be reached.
+        """Compute a trajectory to one of the grasps, hand link poses (n, 7; quaternion xyzw); None if none is reached.
 
         Grasps, obstacles `objects` and the person's `hand`, None to ignore it, are in the robot's base frame.
         """
@@ -194,12 +194,12 @@ class Chomp:
         self._tail_correction = ends @ np.linalg.inv(ends[-cost.n_tail :])
 
     def compute_smoothness_cost(self, trajectory: Array) -> float:
-        """Return half the sum of squared joint velocities of a trajectory (w, 7)."""
+        """Return half the sum of the squared joint velocities (rad/s) of a trajectory (w, 7) in rad."""
         steps = np.diff(trajectory, axis=0, prepend=self._start[None]) / WAYPOINT_PERIOD
         return float(0.5 * (steps**2).sum())
 
     def step(self, trajectory: Array, tail: Array, number: int) -> Array:
-        """Return a trajectory (w, 7) after gradient step `number`, from 1; it ends on the approach `tail` (t, 7)."""
+        """Return the trajectory (w, 7) after gradient step `number`, from 1; it ends on an approach, `tail` (t, 7)."""
         smooth = self._metric @ trajectory + self._start_gradient[:, None] * self._start
         near = _OBSTACLE_WEIGHT * self._cost.compute_gradient(trajectory, self._start, tail[-1])
         near = np.clip(near, -_MAX_GRADIENT, _MAX_GRADIENT)
@@ -210,12 +210,12 @@ class Chomp:
         return self._project_to_limits(moved)
 
     def compute_limit_violation(self, trajectory: Array) -> Array:
-        """Return the joint changes (w, 7) in rad that bring a trajectory within joint limits."""
+        """Return the joint changes (w, 7) in rad that bring a trajectory (w, 7) within the joint limits, 0 inside."""
         low, high = self._limits
         return np.maximum(low - trajectory, 0.0) + np.minimum(high - trajectory, 0.0)
 
     def is_finished(self, trajectory: Array, goal: Array) -> bool:
-        """Return whether the optimization of a trajectory (w, 7) to a grasp (7,) may end early."""
+        """Return whether the optimization of a trajectory (w, 7) to arm joints (7,) at a grasp (rad) may end early."""
         return (
             float(np.linalg.norm(trajectory[-1] - goal)) < _GOAL_TOLERANCE
             and self.compute_smoothness_cost(trajectory) < _MAX_SMOOTHNESS_COST

@@ -51,7 +51,7 @@ class Obstacle:
 
     Attributes:
         field: Signed distance field of the obstacle.
-        base_from_field: (7,) pose of the field's frame in the robot's base frame.
+        base_from_field: (7,) pose (quaternion xyzw) of the field's frame in the robot's base frame.
         padding: Distance from the surface up to which the obstacle has a cost (m).
         in_tail: Whether the obstacle has a cost in the final approach to a grasp, too, unlike an object to be grasped.
     """
@@ -62,11 +62,11 @@ class Obstacle:
     in_tail: bool = False
 
     def compute_distances(self, points: Floats) -> Floats:
-        """Return the signed distances (n,) in m from points (3, n) in the base frame."""
+        """Return the signed distances (n,) in m, negative inside, at points (3, n) in the robot's base frame."""
         return self.field.compute_distances(self._to_field_frame(points))
 
     def compute_distances_and_gradients(self, points: Floats) -> tuple[Floats, Floats]:
-        """Return signed distances (n,) in m and their gradients (3, n) at points (3, n) in the base frame."""
+        """Return signed distances (n,) in m, negative inside, and gradients (3, n) at base-frame points (3, n)."""
         distances, gradients = self.field.compute_distances_and_gradients(self._to_field_frame(points))
         return distances, self._rotation() @ gradients
 

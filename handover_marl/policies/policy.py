@@ -175,7 +175,7 @@ class Policy(ABC):
 
     @property
     def planned_goal(self) -> npt.NDArray[np.float64] | None:
-        """Planned poses (k, 7) of the robot's hand link, the grasp last; None without a plan.
+        """Planned poses (k, 7) of the robot's hand link, the grasp last; None if there is no plan.
 
         World frame, xyz (m) and quaternion xyzw; shown in replays of episodes.
         """

@@ -298,7 +298,7 @@ def parse_policy(agent: str, policy: PolicyLike, trust: bool = False) -> PolicyR
         trust: Whether code in a policy file may run.
 
     Raises:
-        UnknownNameError: No policy is registered under the name, or there is no such agent.
+        UnknownNameError: No policy is registered under the name, or `agent` is neither "giver" nor "receiver".
         OptionError: The policy cannot be imported or pickled, belongs to the other agent, or has no
             such option; or `trust` is not a boolean.
     """

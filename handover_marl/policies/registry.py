@@ -16,19 +16,19 @@ GROUPS = {"giver": "handover_marl.givers", "receiver": "handover_marl.receivers"
 
 
 def list_available(agent: str) -> tuple[str, ...]:
-    """List the names of all registered policies for an agent, sorted.
+    """List the names of all registered policies for an agent, "giver" or "receiver", sorted.
 
     Raises:
-        UnknownNameError: There is no such agent.
+        UnknownNameError: `agent` is neither "giver" nor "receiver".
     """
     return tuple(sorted({point.name for point in entry_points(group=_get_group(agent))}))
 
 
 def load_registered(agent: str, name: str) -> type | None:
-    """Load the policy class that is registered under a name; None for an unknown name.
+    """Load the class of the "giver" or "receiver" that is registered as `name`; return None for an unknown name.
 
     Raises:
-        UnknownNameError: There is no such agent.
+        UnknownNameError: `agent` is neither "giver" nor "receiver".
         OptionError: The class cannot be imported, or several packages register the name.
     """
     group = _get_group(agent)

@@ -9,7 +9,7 @@ from handover_marl.config import PandaConfig, PhysicsConfig
 from handover_marl.errors import OptionError, check_name
 from handover_marl.execution.options import is_installed, is_pybullet_installed, require_modules, require_pybullet
 from handover_marl.geometry.arrays import ArrayFactory
-from handover_marl.simulation.clearance import DistanceQuery
+from handover_marl.simulation.distance_queries import DistanceQuery
 from handover_marl.simulation.grasp_validation import GraspValidationConfig
 from handover_marl.simulation.world import World
 from handover_marl.simulation.worlds import HostWorlds, Worlds
@@ -51,7 +51,7 @@ def list_available_physics() -> tuple[str, ...]:
 
 
 def make_world(physics: str, config: PhysicsConfig, window: bool = False) -> World:
-    """Create a simulated world without a scene.
+    """Create a simulated world that has no scene yet.
 
     Args:
         physics: Kind of physics, one of `PHYSICS`.
@@ -113,13 +113,13 @@ def check_backend(backend: BatchBackend) -> None:
 
 
 def make_worlds(config: PhysicsConfig, count: int, backend: BatchBackend, arrays: ArrayFactory) -> Worlds:
-    """Create `count` worlds of MuJoCo or MuJoCo Warp, still without scenes, which are simulated together.
+    """Create `count` worlds that MuJoCo or MuJoCo Warp simulates together; they have no scenes yet.
 
     Args:
         config: Constants of the worlds.
         count: Number of worlds.
         backend: Engine and device.
-        arrays: Creator of arrays on this device: NumPy arrays, or with MuJoCo Warp tensors.
+        arrays: Creator of arrays on this device: NumPy arrays, or tensors for MuJoCo Warp.
 
     Raises:
         OptionError: A package or the device is missing.
@@ -130,7 +130,7 @@ def make_worlds(config: PhysicsConfig, count: int, backend: BatchBackend, arrays
         from handover_marl.simulation.mujoco.batches.warp_worlds import WarpWorlds
 
         return WarpWorlds(config, count, arrays)
-    from handover_marl.simulation.mujoco.batches.simulation import BatchSimulation
+    from handover_marl.simulation.mujoco.batch_simulation import BatchSimulation
     from handover_marl.simulation.mujoco.world import MujocoWorld
 
     simulation = BatchSimulation()
@@ -149,7 +149,7 @@ def make_distance_query(panda_urdf: Path, config: PandaConfig) -> DistanceQuery:
         from handover_marl.simulation.bullet.kinematics import BulletDistanceQuery
 
         return BulletDistanceQuery(panda_urdf, config)
-    from handover_marl.simulation.mujoco.distances import MujocoDistanceQuery
+    from handover_marl.simulation.mujoco.distance_query import MujocoDistanceQuery
 
     return MujocoDistanceQuery(panda_urdf, config)
 

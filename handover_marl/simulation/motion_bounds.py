@@ -92,7 +92,7 @@ class RobotMotionBounds:
         return np.asarray(np.where(near.any(axis=-2), near.argmax(axis=-2), steps))
 
     def compute_sphere_centers(self, link_poses: npt.NDArray[np.floating]) -> Array:
-        """Return world centers (..., b, 3) in m of the spheres: of L `links` at poses (..., L, 7), then of the base."""
+        """Return world centers (..., b, 3) in m of the robot's spheres at poses (..., L, 7), xyzw, of its links."""
         links = transform_points(link_poses, self.link_centers)
         base = np.broadcast_to(self.base_centers, (*links.shape[:-2], *self.base_centers.shape))
         return np.concatenate([links, base], axis=-2)

@@ -159,7 +159,7 @@ class WorldState(NamedTuple):
         """Return the state of one world from the readings of its bodies, with the shapes and frames of the attributes.
 
         `robot_joints` are positions and velocities, `object_poses` (m, 7) those of m objects. `hand_joints` and
-        `hand_keypoints` are None without a human hand.
+        `hand_keypoints` are None if there is no human hand.
         """
         poses = np.zeros((MAX_OBJECTS, 7), dtype=np.float32)
         poses[: len(object_poses)] = object_poses
@@ -184,7 +184,7 @@ class AgentJoints(NamedTuple):
 
     Attributes:
         robot: Positions (9,) of the Panda's joints.
-        hand: Positions (51,) of the human hand's joints, or None without a hand.
+        hand: Positions (51,) of the human hand's joints, or None if there is no hand.
     """
 
     robot: npt.NDArray[np.float32]

@@ -205,7 +205,7 @@ def draw_plan_figure(
     """Draw objects, the person's hand and a motion plan; return a PNG.
 
     Args:
-        plan: Motion plan; None draws the scene alone.
+        plan: Motion plan; None draws only the scene.
         arm: Kinematics of the robot arm.
         world_from_base: (7,) world pose of the robot base, xyz (m) and quaternion xyzw.
         observation: Observation of the scene when the plan was made.

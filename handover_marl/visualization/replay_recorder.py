@@ -40,7 +40,7 @@ class ReplayFrame:
         object_offered: Whether the person has picked up the object and not released it.
         released: Whether the person has released the object.
         planned_path: (k, 7) planned world poses of the robot's hand link, xyz (m) and quaternion
-            xyzw, or None without a plan.
+            xyzw, or None if there is no plan.
     """
 
     step: int

@@ -87,7 +87,7 @@ class HandoverController:
 
     @property
     def planned_goal(self) -> Array | None:
-        """(2, 7) world poses of the hand link at standoff and grasp; None except in the approach."""
+        """(2, 7) world poses (quaternion xyzw) of the hand link at standoff and grasp; None except in the approach."""
         chosen = self._selector.chosen
         if chosen is None or not self._is_approaching:
             return None
@@ -237,7 +237,7 @@ class ControllerReceiver(Receiver):
 
     @property
     def planned_goal(self) -> Array | None:
-        """(2, 7) world poses of the hand link at standoff and grasp; None except in the approach."""
+        """(2, 7) world poses (quaternion xyzw) of the hand link at standoff and grasp; None except in the approach."""
         return None if self.controller is None else self.controller.planned_goal
 
     @property

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from handover_marl.geometry.model_files.meshes import read_collision_mesh
 from handover_marl.geometry.poses import inverse_transform_points
-from handover_marl.planning.clearance import Spheres, compute_flange_clearances, sample_surface_spheres
+from handover_marl.planning.robot_clearance import Spheres, compute_flange_clearances, sample_surface_spheres
 from handover_marl.policies.policy import PolicyContext
 from handover_marl.receivers.grasp_library import load_hand_poses
 from handover_marl.receivers.reactive.config import GraspSelectorConfig, ReactiveConfig
@@ -77,7 +77,7 @@ def load_graspable_object(context: PolicyContext, object_name: str, config: Reac
         grasps = validate_grasps(urdf, context.panda_urdf, known, preparation)
     vertices, faces = read_collision_mesh(urdf)
     surface = sample_surface_spheres(vertices, faces, config.n_surface_spheres, config.surface_radius)
-    points = sample_surface_points(vertices, faces, config.n_surface_points)
+    points = collect_surface_points(vertices, faces, config.n_surface_points)
     grasps = grasps.select(compute_flange_clearances(grasps.poses, surface) > 0.0)
     center = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     return GraspableObject(grasps, compute_pad_margins(grasps.poses, points), surface, points, center)
@@ -107,7 +107,7 @@ def find_offset_grasps(
     return offset.select(kept), margins[kept]
 
 
-def sample_surface_points(vertices: Array, faces: npt.NDArray[np.int_], count: int) -> Array:
+def collect_surface_points(vertices: Array, faces: npt.NDArray[np.int_], count: int) -> Array:
     """Return the vertices of a mesh and `count` random points on its surface, from a fixed seed (m)."""
     rng = np.random.default_rng(0)
     corners = vertices[faces]
@@ -135,7 +135,7 @@ def compute_pad_margins(poses: Array, points: Array) -> Array:
 
 
 def compute_hold_costs(grasps: ValidatedGrasps, pad_margins: Array, config: GraspSelectorConfig) -> Array:
-    """Return the costs (n,) in s of grasps with pad margins (n,), higher the less likely they hold the object."""
+    """Return costs (n,) in s of grasps: higher if they hold less often, or if the pad margins (n,) in m are small."""
     rates = grasps.success_rates
     costs: Array = _UNSTABLE_COST * (rates == 0.0) + config.partial_hold_cost * (1.0 - rates)
     costs += _FINGERTIP_COST * np.maximum(0.0, 1.0 - pad_margins / _DESIRED_PAD_MARGIN)

@@ -31,7 +31,7 @@ from handover_marl.geometry.array_cache import get_cache_path, load_cached_array
 from handover_marl.geometry.model_files.urdf_xml import MAX_URDF_BYTES
 from handover_marl.geometry.panda import GRIPPER_FROM_HAND, PAD_DISTANCE
 from handover_marl.geometry.poses import compose, invert_pose
-from handover_marl.planning.clearance import (
+from handover_marl.planning.robot_clearance import (
     Spheres,
     compute_grasp_clearances,
     compute_open_gripper_clearances,
@@ -77,9 +77,8 @@ class GraspPreparationConfig(CheckedConfig):
         max_copies: Maximum number of stable copies, of all grasps together.
         lateral_offsets: Offsets in the hand link's frame (fingers close along y) at which the shaking
             of a stable grasp is repeated (m).
-        advances: Distances by which a grasp may be moved along its approach axis towards the object
-            (m), the preferred one first: an object that is held by the fingertips slips away on release, before the
-            fingers press as hard as in a validation.
+        advances: Distances (m) by which a grasp may be moved along its approach axis towards the object, the preferred
+            one first. Deeper grasps hold better: an object between the fingertips slips when the person releases it.
         held_time: Time for which the object is held in place while the fingers close (s).
         free_time: Time for which the object is then simulated without support (s).
         max_slip: Maximum slip of the object within `free_time` (m).
@@ -116,7 +115,7 @@ class ValidatedGrasps:
     """Grasps of an object with the outcome of their validation in simulation.
 
     Attributes:
-        poses: (n, 7) poses of the hand link in the object's frame.
+        poses: (n, 7) poses (quaternion xyzw) of the hand link in the object's frame.
         success_rates: (n,) share of validations that each grasp has passed, 0 to 1.
     """
 
@@ -139,7 +138,7 @@ def grasps_from_record(record: ValidationRecord, known: Array, config: GraspPrep
 
 
 def advance_grasp(pose: Array, distance: float) -> Array:
-    """Return a grasp pose (7,) moved along its own z axis by a distance (m)."""
+    """Return a grasp pose (7,) (quaternion xyzw) moved along its own z axis by a distance (m)."""
     return np.asarray(compose(pose, np.array([0.0, 0.0, distance, 0.0, 0.0, 0.0, 1.0])))
 
 
@@ -150,7 +149,7 @@ def tilt_grasps(known: Array, config: GraspPreparationConfig) -> Array:
 
 
 def compute_grasp_distances(pose: Array, poses: Array, rotation_weight: float, depth: float = 0.0) -> Array:
-    """Return the distances (n,) in m of grasp poses (n, 7) to one grasp pose (7,) in the same frame.
+    """Return the distances (n,) in m of grasp poses (n, 7) (quaternion xyzw) to one grasp pose (7,) in the same frame.
 
     A distance is that of the points at `depth` (m) on the hand link's z axis, such as `PAD_DISTANCE` for the middle
     between the pads, plus `rotation_weight` (m/rad) times the rotation angle.

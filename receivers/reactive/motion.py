@@ -7,15 +7,16 @@ import numpy.typing as npt
 
 from handover_marl.config import TABLE_HEIGHT, TIME_STEP
 from handover_marl.geometry.panda import CLOSED, OPEN
-from handover_marl.geometry.poses import IDENTITY, compose, compute_rotation_angles, transform_points
+from handover_marl.geometry.poses import IDENTITY, compose, transform_points
+from handover_marl.geometry.rotations import compute_rotation_angles
 from handover_marl.planning.arm_control import ArmInWorld, ArmServo
-from handover_marl.planning.clearance import Spheres
 from handover_marl.planning.collision_avoidance import (
     MovingBody,
     SeparationConfig,
     enforce_separation,
     select_safe_velocity,
 )
+from handover_marl.planning.robot_clearance import Spheres
 from handover_marl.policies.policy import Action
 from handover_marl.receivers.reactive.scene_estimate import SceneEstimate
 from handover_marl.receivers.reactive.selector import HOME, GraspGoal, GraspSelector
@@ -71,7 +72,7 @@ class MotionController:
         return self.move_open(self._separate(self._compute_home_velocity(), self._config.hand_clearance))
 
     def move_to(self, goal: Array, surface: Spheres) -> Action:
-        """Return the action towards arm joints (7,), clear of the person's hand and of the object's surface."""
+        """Return the action towards arm joints (7,) in rad; it avoids the person's hand and the object's `surface`."""
         velocity = self.servo.limit_speed(self.servo.compute_goal_velocity(self.scene.arm_joints, goal))
         return self.move_open(self._separate(velocity, self._config.hand_clearance, surface=surface))
 

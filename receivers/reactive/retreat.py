@@ -7,9 +7,10 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from handover_marl.geometry.poses import IDENTITY, inverse_transform_points, rotate_points, transform_points
+from handover_marl.geometry.poses import IDENTITY, inverse_transform_points, transform_points
+from handover_marl.geometry.rotations import rotate_points
 from handover_marl.planning.arm_control import ArmInWorld, ArmServo
-from handover_marl.planning.clearance import (
+from handover_marl.planning.robot_clearance import (
     Spheres,
     compute_arm_clearances,
     compute_grasp_clearances,
@@ -59,10 +60,10 @@ class RetreatController:
         servo: Servo of the arm, with speed limits and control period.
         goal: (3,) goal of the hand link's position in the world (m).
         config: Configuration of the retreat.
-        start: (7,) world pose of the hand link when the person released the object.
+        start: (7,) world pose (quaternion xyzw) of the hand link when the person released the object.
         held: (k, 3) points of the object in the hand link's frame (m).
-        person: Spheres that approximate the person's hand in the world, or None without a hand.
-        obstacles: Spheres that approximate the other objects in the world, or None without any.
+        person: Spheres that approximate the person's hand in the world, or None if there is no hand.
+        obstacles: Spheres that approximate the other objects in the world, or None if there are none.
     """
 
     def __init__(
@@ -88,7 +89,7 @@ class RetreatController:
     def compute_velocity(self, time: float, joints: Array, gripper_pose: Array) -> Array:
         """Return the joint velocities (7,) in rad/s that continue the retreat at a time (s), for the next period.
 
-        The arm is at joints (7,) (rad), and the hand link at the world pose (7,) `gripper_pose`.
+        The arm is at joints (7,) (rad), and the hand link at the world pose (7,) (quaternion xyzw) `gripper_pose`.
         """
         if self._end is None or self._is_stalled(time, float(np.abs(joints - self._end).max())):
             if self._end is not None:

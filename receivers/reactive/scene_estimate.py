@@ -11,9 +11,9 @@ from handover_marl.episode.observations import Observation
 from handover_marl.geometry.poses import compose, invert_pose, transform_points
 from handover_marl.geometry.ycb import CLASS_NAMES
 from handover_marl.planning.arm_control import ArmInWorld
-from handover_marl.planning.clearance import Spheres
 from handover_marl.planning.hand_tracker import HandTracker
 from handover_marl.planning.handover_prediction import HandoverPosePredictor
+from handover_marl.planning.robot_clearance import Spheres
 from handover_marl.receivers.reactive.config import ReactiveConfig
 
 Array = npt.NDArray[np.float64]
@@ -36,7 +36,7 @@ _MIN_OPENING, _EMPTY_FINGER_POSITION = 1e-4, 0.0015
 
 
 class SceneEstimate(ABC):
-    """Estimate of the states of robot, object and person's hand during one episode.
+    """Estimate of the states of robot, object and person's hand in an episode; subclasses track object and hand.
 
     Args:
         arm: Kinematics of the arm.
@@ -47,11 +47,10 @@ class SceneEstimate(ABC):
         time: Time since the start of the episode (s).
         arm_joints: (7,) configuration of the arm (rad).
         fingers: (2,) positions of the fingers (m).
-        gripper_pose: (7,) world pose of the robot's hand link.
-        object_pose: (7,) world pose of the object that is handed over.
-        motion: Motion of the object, from which the handover pose is predicted.
-        obstacles: Spheres that approximate the other objects within reach, in the world, or None without any.
-        person: Tracker of the person's hand.
+        gripper_pose: (7,) world pose of the robot's hand link, quaternion xyzw.
+        object_pose: (7,) world pose of the object that is handed over, quaternion xyzw.
+        motion: Predictor of the handover pose from the object's motion.
+        obstacles: Spheres in the world that approximate the other objects within reach; None if there are none.
     """
 
     def __init__(self, arm: ArmInWorld, config: ReactiveConfig, person: HandTracker) -> None:
@@ -91,7 +90,7 @@ class SceneEstimate(ABC):
     def predict_bodies(self, handover_pose: Array, surface: Spheres) -> Spheres:
         """Return spheres in the world: object and person's hand, moved rigidly to a handover pose, and other objects.
 
-        The world pose (7,) is that of the object; its surface is given in its own frame.
+        The world pose (7,) (quaternion xyzw) is that of the object; its surface is given in its own frame.
         """
         human_hand = self.person.spheres
         bodies = [Spheres(transform_points(handover_pose, surface.centers), surface.radii)]
@@ -102,7 +101,7 @@ class SceneEstimate(ABC):
 
     @property
     def hand_in_object(self) -> Spheres | None:
-        """Spheres that approximate the person's hand, in the object's frame, or None without a hand."""
+        """Spheres that approximate the person's hand, in the object's frame, or None if there is no hand."""
         human_hand = self.person.spheres
         return None if human_hand is None else human_hand.transform_to_frame(self.object_pose)
 

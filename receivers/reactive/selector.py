@@ -11,14 +11,14 @@ from handover_marl.geometry.arrays import Indices
 from handover_marl.geometry.panda import HALF_TURN, WAITING_JOINTS
 from handover_marl.geometry.poses import compose, invert_pose
 from handover_marl.planning.arm_control import ArmInWorld
-from handover_marl.planning.clearance import (
+from handover_marl.planning.collision_avoidance import PathObstacles, find_via_point, is_path_clear
+from handover_marl.planning.robot_clearance import (
     Spheres,
     compute_arm_clearances,
     compute_grasp_clearances,
     compute_gripper_corners,
     compute_lowest_heights,
 )
-from handover_marl.planning.collision_avoidance import PathObstacles, find_via_point, is_path_clear
 from handover_marl.receivers.reactive.config import ReactiveConfig
 from handover_marl.receivers.reactive.grasp_contact import GraspableObject, compute_hold_costs, find_offset_grasps
 from handover_marl.receivers.reactive.grasps import ValidatedGrasps
@@ -100,9 +100,9 @@ class GraspSelector:
         config: Configuration of the receiver.
 
     Attributes:
-        grasps: (n, 7) candidate poses of the hand link in the object's frame.
+        grasps: (n, 7) candidate poses of the hand link in the object's frame, quaternion xyzw.
         surface: Spheres that approximate the object's surface, in the object's frame.
-        chosen: Grasp that was selected last; None without a selection.
+        chosen: Grasp that was selected last; None if there is no selection.
         failure_reason: Reason for which no grasp could be selected, empty otherwise.
         failed: Time of the episode (s) until which a failed grasp has a higher cost, by the index of the grasp.
     """
@@ -131,11 +131,13 @@ class GraspSelector:
         self._add(graspable.grasps, graspable.pad_margins, 0.0)
 
     def set_candidates(self, poses: Array, costs: Array, surface: Spheres, chosen: int | None) -> None:
-        """Replace the candidates by poses (n, 7) of the hand link in the object's frame.
+        """Replace the candidate grasps.
 
-        The costs (n,) in s are higher the less likely a grasp holds the object, and include those of grasps
-        that failed. `surface` approximates the object, in its frame. `chosen` is the new index of the grasp that was
-        selected last; None forgets the selection.
+        Args:
+            poses: (n, 7) poses of the hand link in the object's frame, quaternion xyzw.
+            costs: (n,) costs in seconds of arm motion, higher for grasps that may not hold or have failed before.
+            surface: Spheres that approximate the object, in its frame.
+            chosen: Index in `poses` of the grasp that was selected last; None clears the selection.
         """
         self.surface, self.failed = surface, {}
         self.grasps, self._hold_costs = poses, costs
@@ -183,15 +185,15 @@ class GraspSelector:
         return self.chosen
 
     def compute_grasp_pose(self, goal: GraspGoal, object_pose: Array) -> Array:
-        """Return the world pose (7,) of the hand link at a grasp of an object at a world pose (7,)."""
+        """Return the hand link's world pose (7,) at a grasp of an object at a world pose (7,), quaternions xyzw."""
         return np.asarray(compose(object_pose, self.grasps[goal.number]))
 
     def compute_standoff_pose(self, grasp_pose: Array) -> Array:
-        """Return the hand link's pose (7,) at the standoff of a grasp with a given pose (7,)."""
+        """Return the hand link's pose (7,) (quaternion xyzw) at the standoff of a grasp with a given pose (7,)."""
         return np.asarray(compose(grasp_pose, self._grasp_from_standoff))
 
     def compute_pose_in_grasp(self, goal: GraspGoal, object_pose: Array, gripper_pose: Array) -> Array:
-        """Return the hand link's pose (7,) in the frame of a grasp, from the world poses of object and hand link."""
+        """Return the hand link's pose (7,) in a grasp's frame from world poses of object and hand link; all xyzw."""
         return np.asarray(compose(invert_pose(self.compute_grasp_pose(goal, object_pose)), gripper_pose))
 
     def _add(self, grasps: ValidatedGrasps, pad_margins: Array, cost: float) -> None:

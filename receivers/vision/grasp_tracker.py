@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.geometry.panda import HALF_TURN, PAD_DISTANCE
 from handover_marl.geometry.poses import compose, transform_points
-from handover_marl.planning.clearance import Spheres
+from handover_marl.planning.robot_clearance import Spheres
 from handover_marl.receivers.reactive.grasps import compute_grasp_distances, make_offset_pose
 from handover_marl.receivers.vision.grasp_predictor import GraspPrediction, GraspPredictor
 
@@ -68,7 +68,7 @@ _N_FINGER_POINTS, _LATERAL_SHIFTS = 400, (0.0, -0.006, 0.006, -0.012, 0.012, -0.
 SHIFT_COST, COLLISION_COST, _FREE_DEPTH = 20.0, 60.0, 0.003
 
 
-class PointMap:
+class VoxelMap:
     """Voxel map of points on the object, or on the person's hand that holds it.
 
     Args:
@@ -175,7 +175,7 @@ class GraspTracker:
 
     Attributes:
         position: Filter that estimates the object's center in the world.
-        grasps: (n, 7) candidate poses of the hand link relative to the object's center; the
+        grasps: (n, 7) candidate poses (quaternion xyzw) of the hand link relative to the object's center; the
             first is the selected one, if any.
         costs: (n,) costs of the candidates (s).
         surface: Spheres at the visible part of the object, relative to its center.
@@ -202,14 +202,14 @@ class GraspTracker:
     def _restart(self) -> None:
         """Forget the object's motion, the points and the selected grasp."""
         self.position = PositionFilter()
-        self._object_map = PointMap(_VOXEL_SIZE, _OBJECT_MEMORY)
-        self._hand_map = PointMap(_VOXEL_SIZE, _HAND_MEMORY)
+        self._object_map = VoxelMap(_VOXEL_SIZE, _OBJECT_MEMORY)
+        self._hand_map = VoxelMap(_VOXEL_SIZE, _HAND_MEMORY)
         self.selected = None
         self._keyframe: Keyframe | None = None
 
     @property
     def object_pose(self) -> Array:
-        """(7,) world pose of the object's center, with the identity rotation."""
+        """(7,) world pose (quaternion xyzw) of the object's center, with the identity rotation."""
         return np.array([*self.position.position, 0.0, 0.0, 0.0, 1.0])
 
     @property
@@ -230,7 +230,7 @@ class GraspTracker:
         """Update object, hand and grasp candidates from a view of the wrist camera at a time (s).
 
         Points (n, 3) of the object and of the person's hand are in the hand link's frame (m), given by its
-        world pose (7,).
+        world pose (7,) (quaternion xyzw).
         """
         if len(object_points) < _MIN_POINTS:
             self.position.coast(time)

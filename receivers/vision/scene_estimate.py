@@ -6,12 +6,12 @@ import numpy.typing as npt
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.poses import transform_points
 from handover_marl.planning.arm_control import ArmInWorld
-from handover_marl.planning.clearance import Spheres
 from handover_marl.planning.hand_tracker import HandTracker
+from handover_marl.planning.robot_clearance import Spheres
 from handover_marl.receivers.reactive.config import ReactiveConfig
 from handover_marl.receivers.reactive.grasp_contact import OBSTACLE_RADIUS
 from handover_marl.receivers.reactive.scene_estimate import SceneEstimate
-from handover_marl.receivers.vision.grasp_tracker import LOST_TIMEOUT, GraspTracker, PointMap
+from handover_marl.receivers.vision.grasp_tracker import LOST_TIMEOUT, GraspTracker, VoxelMap
 
 Array = npt.NDArray[np.float64]
 
@@ -74,7 +74,7 @@ class PointCloudSceneEstimate(SceneEstimate):
         self._last_fingers = np.zeros(2)
         self._closing_since, self._moved_at = -np.inf, np.inf
         self._search_timeout = SEARCH_TIMEOUT
-        self._obstacle_map = PointMap(OBSTACLE_VOXEL_SIZE, np.inf)
+        self._obstacle_map = VoxelMap(OBSTACLE_VOXEL_SIZE, np.inf)
 
     def update(self, observation: Observation) -> None:
         """Update robot, object and person's hand from an observation."""
@@ -95,9 +95,9 @@ class PointCloudSceneEstimate(SceneEstimate):
             self._update_obstacles(others)
 
     def has_released(self, closing_since: float) -> bool:
-        """Return whether the fingers show that the person has released the object.
+        """Return whether the person has released the object, by the motion of fingers that close since a time (s).
 
-        They must have been at rest for some time, or be kept open by the object for long.
+        The fingers must have been at rest for a while, or the object has kept them from closing for long.
         """
         if closing_since != self._closing_since:
             self._closing_since = self._moved_at = closing_since

@@ -25,7 +25,8 @@ from handover_marl.assets.shipped import (
 from handover_marl.config import HandConfig, PandaConfig
 from handover_marl.geometry.model_files.obj_files import read_obj
 from handover_marl.geometry.panda import CAMERA_LINK, HAND_LINK, LOWER_LIMITS, UPPER_LIMITS
-from handover_marl.geometry.poses import compose, invert_pose, rotate_points
+from handover_marl.geometry.poses import compose, invert_pose
+from handover_marl.geometry.rotations import rotate_points
 from handover_marl.geometry.ycb import CLASS_NAMES
 from handover_marl.simulation.bullet.bodies import HandBody, PandaBody
 from handover_marl.simulation.bullet.client import BulletClient, connect, load_urdf

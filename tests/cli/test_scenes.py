@@ -7,7 +7,7 @@ import pytest
 
 from handover_marl.cli import main
 from handover_marl.datasets.custom.scene_file import read_scene_file
-from tests.custom_scenes import make_box, make_recording, write_csv
+from tests.helpers.custom_scenes import make_box, make_recording, write_csv
 
 MUG = ("add-motion", "mine", "motion.csv", "--object", "025_mug", "--subject", "a")
 OBJECT = ("--grasps", "0", "--concavity", "1", "--no-progress")

@@ -9,7 +9,7 @@ import pytest
 from handover_marl.datasets.official import load_grasps
 from handover_marl.datasets.restricted_pickle import load_restricted
 from handover_marl.errors import DataFormatError, UnsafeFileError
-from tests.fake_layout import evil_grasps, write_grasps
+from tests.helpers.fake_layout import evil_grasps, write_grasps
 
 
 def test_reads_official_files(tmp_path: Path) -> None:

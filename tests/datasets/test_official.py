@@ -6,7 +6,7 @@ import pytest
 
 from handover_marl.datasets import DATA_DIR_VARIABLE, OfficialDataset, open_dataset
 from handover_marl.errors import DataFormatError, DataNotFoundError, SceneError
-from tests.fake_layout import HAND_FIRST, HAND_LAST, N_FRAMES, write_grasps
+from tests.helpers.fake_layout import HAND_FIRST, HAND_LAST, N_FRAMES, write_grasps
 
 
 def edit_meta(data: Path, scene_id: int, **changes: object) -> None:

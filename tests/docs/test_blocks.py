@@ -23,8 +23,8 @@ from handover_marl.errors import HandoverError
 from handover_marl.evaluation.config import EvaluationConfig
 from handover_marl.policies.reference import parse_policy, split_policy_list
 from tests.docs.pages import PAGES, REPOSITORY, Block, blocks, inline_commands, name
-from tests.fake_layout import FakeScene, write_layout
-from tests.setup_file import read_setup
+from tests.helpers.fake_layout import FakeScene, write_layout
+from tests.helpers.setup_file import read_setup
 from tests.short_episodes import shorten_episodes
 
 LANGUAGES = {"python", "bash", "ini", "text", "bibtex", "{include}", "{toctree}", "{eval-rst}"}

@@ -9,7 +9,7 @@ import yaml
 
 import handover_marl
 from tests.docs.pages import PAGES, REPOSITORY, name
-from tests.setup_file import list_supported
+from tests.helpers.setup_file import list_supported
 
 README = (REPOSITORY / "README.md").read_text()
 WORKFLOWS = REPOSITORY / ".github" / "workflows"
@@ -58,7 +58,7 @@ def test_the_citation_names_this_version() -> None:
 
 
 def test_the_notebook_has_no_outputs_and_runs_in_every_build() -> None:
-    notebook = json.loads((REPOSITORY / "docs" / "tutorials" / "tutorial.ipynb").read_text())
+    notebook = json.loads((REPOSITORY / "docs" / "tutorials" / "episode_and_benchmark.ipynb").read_text())
     programs = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
     assert programs
     assert all(cell["outputs"] == [] and cell["execution_count"] is None for cell in programs)

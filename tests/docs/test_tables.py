@@ -33,7 +33,7 @@ from tests.evaluation.quick import make_report
 ENVIRONMENT = REPOSITORY / "docs" / "reference" / "environment.md"
 BENCHMARK = REPOSITORY / "docs" / "reference" / "rules_and_metrics.md"
 #: Marks of the tables that are checked here and in `tests/receivers/test_information.py`. Those of features and action
-#: schemes, which have a slash, are checked in `tests/learning/test_columns.py`.
+#: schemes, which have a slash, are checked in `tests/docs/test_feature_tables.py`.
 CHECKED = {
     *("receiver actions", "giver actions", "rewards", "reward terms", "generated scenes", "receiver inputs"),
     *("shared observations", "giver observations", "camera observations"),

@@ -13,7 +13,7 @@ from handover_marl.episode.observations import Observation
 from handover_marl.errors import ActionError, OptionError, PolicyError, ResetNeededError, UnknownNameError
 from handover_marl.givers import Action, Giver, make_giver_action
 from tests.envs.test_handover_env import REPLAY, START
-from tests.equality import assert_equal
+from tests.helpers.equality import assert_equal
 
 SYNTHETIC: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "split": "val"}
 pytestmark = [

@@ -9,7 +9,7 @@ import handover_marl
 from handover_marl.givers.reactions import CooperativeGiver
 from tests.envs.test_handover_env import START
 from tests.episode.test_play import ScribblingGiver
-from tests.equality import assert_equal
+from tests.helpers.equality import assert_equal
 
 
 def rollout(giver: type[CooperativeGiver]) -> list[dict[str, np.ndarray]]:

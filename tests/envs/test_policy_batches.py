@@ -16,8 +16,8 @@ from handover_marl.policies.batch import HostPolicyBatch, PolicyBatch
 from handover_marl.policies.policy import Giver
 from handover_marl.policies.reference import parse_policy
 from tests.evaluation.strangers.populations import write_population
+from tests.helpers.tensors import make_device_tensors, make_observe_function
 from tests.learning.array_encodings import COUNT, draw_observation
-from tests.tensors import make_device_tensors, make_observe_function
 
 DATA = SyntheticDataset()
 

@@ -14,8 +14,8 @@ from handover_marl.envs.rewards import SHAPED, SPARSE, TERMS, StepData, TermWeig
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError, UnknownNameError
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ONLY_ROW, ArrayFactory, is_tensor, to_numpy
+from tests.helpers.tensors import make_device_tensors
 from tests.learning.array_encodings import COUNT, draw_observation
-from tests.tensors import make_device_tensors
 
 RUNNING, SUCCESS = EpisodeStatus.RUNNING, EpisodeStatus.SUCCESS
 GOAL = OFFICIAL_CONFIG.protocol.goal_center

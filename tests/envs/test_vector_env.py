@@ -28,7 +28,7 @@ from handover_marl.errors import (
     WorkerError,
 )
 from handover_marl.receivers import Receiver
-from tests.equality import assert_equal
+from tests.helpers.equality import assert_equal
 from tests.learning.custom import move_first_joint, offset_to_object
 
 #: The objects are boxes, cylinders and balls, so that models of several layouts are simulated together.

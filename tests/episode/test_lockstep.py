@@ -11,7 +11,7 @@ from handover_marl.config import ProtocolConfig
 from handover_marl.episode.referee import Referee, RefereeState, make_judge
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, to_numpy
 from handover_marl.simulation.world import NO_POINTS, Contacts, RolloutContacts, RolloutEnd, find_points_in_grasp_region
-from tests.tensors import make_device_tensors
+from tests.helpers.tensors import make_device_tensors
 
 #: Rules with short periods, so that few steps lead to releases and ends, and with distances that need no rounding.
 RULES = ProtocolConfig(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from handover_marl.execution.reading import check_archive, check_plain_file, read_arrays, read_plain_file, read_yaml
-from tests.unreadable import UNREADABLE, check_refusal
+from tests.helpers.unreadable import UNREADABLE, check_refusal
 
 READERS: dict[str, Callable[[Path], object]] = {
     "check": check_plain_file,

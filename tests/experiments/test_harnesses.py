@@ -9,8 +9,8 @@ import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from experiments.harnesses.lerobot_env import LeRobotEnv, make_env
+from tests.helpers.lerobot import prepare_lerobot
 from tests.learning.training.scripts import script
-from tests.lerobot import prepare_lerobot
 
 pytest.importorskip("mujoco", reason="needs MuJoCo")
 pytest.importorskip("embreex", reason="needs the extra `vision`")

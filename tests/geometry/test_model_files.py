@@ -22,7 +22,7 @@ from handover_marl.geometry.model_files.meshes import (
 from handover_marl.geometry.model_files.obj_files import check_mesh, read_obj
 from handover_marl.geometry.model_files.urdf import list_mesh_references, read_urdf_links, read_urdf_shapes
 from handover_marl.geometry.model_files.urdf_xml import URDF_RANGES, parse_urdf
-from tests.unreadable import UNREADABLE, refuses_within
+from tests.helpers.unreadable import UNREADABLE, refuses_within
 
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
 

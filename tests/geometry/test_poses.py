@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.geometry import poses, rotations
 from handover_marl.geometry.arrays import is_tensor, to_numpy
+from handover_marl.geometry.vectors import compute_dot_products, compute_lengths
 
 Array = npt.NDArray[np.float64]
 COORDINATES = arrays(np.float64, 3, elements=st.floats(-10, 10))
@@ -28,13 +29,13 @@ def quaternion(vector: Array) -> Array:
 def test_compositions_equal_scipy(first: Array, offset: Array, second: Array, other: Array, point: Array) -> None:
     a_from_b = np.concatenate([offset, quaternion(first)])
     b_from_c = np.concatenate([other, quaternion(second)])
-    product = poses.multiply_quaternions(quaternion(first), quaternion(second))
+    product = rotations.multiply_quaternions(quaternion(first), quaternion(second))
     matrix = (Rotation.from_rotvec(first) * Rotation.from_rotvec(second)).as_matrix()
     np.testing.assert_allclose(Rotation.from_quat(product).as_matrix(), matrix, atol=1e-12)
     in_b = Rotation.from_rotvec(second).apply(point) + other
     in_a = Rotation.from_rotvec(first).apply(in_b) + offset
     chained = poses.compose(a_from_b, b_from_c)
-    np.testing.assert_allclose(poses.rotate_points(chained[3:], point) + chained[:3], in_a, atol=1e-10)
+    np.testing.assert_allclose(rotations.rotate_points(chained[3:], point) + chained[:3], in_a, atol=1e-10)
     np.testing.assert_allclose(poses.inverse_transform_points(chained, in_a), point, atol=1e-9)
     point_pose = np.append(in_a, [0, 0, 0, 1])
     np.testing.assert_allclose(poses.compose(poses.invert_pose(chained), point_pose)[:3], point, atol=1e-9)
@@ -44,7 +45,7 @@ def test_compositions_equal_scipy(first: Array, offset: Array, second: Array, ot
 @given(ROTATION_VECTORS, st.floats(1e-3, np.pi - 1e-3))
 def test_matrices_and_angles_equal_scipy(vector: Array, angle: float) -> None:
     base = Rotation.from_rotvec(vector)
-    found = poses.quaternion_from_matrix(base.as_matrix())
+    found = rotations.quaternions_from_matrices(base.as_matrix())
     np.testing.assert_allclose(Rotation.from_quat(found).as_matrix(), base.as_matrix(), atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(found), 1.0, atol=1e-14)
     transform = np.eye(4)
@@ -52,30 +53,30 @@ def test_matrices_and_angles_equal_scipy(vector: Array, angle: float) -> None:
     np.testing.assert_array_equal(poses.poses_from_matrices([transform]), [[1.0, 2.0, 3.0, *found]])
     turned = (base * Rotation.from_rotvec([0.0, angle, 0.0])).as_quat()
     for other in (turned, -turned):
-        assert abs(poses.compute_rotation_angles(base.as_quat(), other) - angle) < 1e-6
+        assert abs(rotations.compute_rotation_angles(base.as_quat(), other) - angle) < 1e-6
 
 
 def test_quaternions_of_euler_angles_are_bit_equal_to_scipy() -> None:
     angles = np.random.default_rng(5).normal(size=(2000, 3))
     for own in (angles, angles.astype(np.float32)):
         expected = Rotation.from_euler("XYZ", own.astype(np.float64)).as_quat()
-        np.testing.assert_array_equal(poses.quaternions_from_euler(own), expected)
+        np.testing.assert_array_equal(rotations.quaternions_from_euler(own), expected)
 
 
 #: Functions with the shapes of their arguments; quaternions are the arguments of size 4 and 7.
 FUNCTIONS: list[tuple[Callable[..., Any], tuple[tuple[int, ...], ...]]] = [
-    (poses.compute_dot_products, ((5, 3), (5, 3))),
-    (poses.compute_lengths, ((5, 3),)),
-    (poses.normalize_quaternions, ((5, 4),)),
-    (poses.multiply_quaternions, ((5, 4), (5, 4))),
-    (poses.conjugate_quaternions, ((5, 4),)),
-    (poses.rotate_points, ((5, 4), (5, 3))),
+    (compute_dot_products, ((5, 3), (5, 3))),
+    (compute_lengths, ((5, 3),)),
+    (rotations.normalize_quaternions, ((5, 4),)),
+    (rotations.multiply_quaternions, ((5, 4), (5, 4))),
+    (rotations.conjugate_quaternions, ((5, 4),)),
+    (rotations.rotate_points, ((5, 4), (5, 3))),
     (poses.transform_points, ((5, 1, 7), (5, 6, 3))),
     (poses.compose, ((5, 7), (7,))),
     (poses.invert_pose, ((5, 7),)),
     (poses.inverse_transform_points, ((5, 1, 7), (5, 6, 3))),
-    (poses.quaternions_from_euler, ((5, 3),)),
-    (poses.select_nearest_euler, ((5, 3), (5, 3))),
+    (rotations.quaternions_from_euler, ((5, 3),)),
+    (rotations.find_nearest_euler_branch, ((5, 3), (5, 3))),
     (rotations.matrices_from_quaternions, ((5, 4),)),
     (rotations.quaternions_from_rotation_vectors, ((5, 3),)),
     (rotations.rotation_vectors_from_quaternions, ((5, 4),)),
@@ -109,6 +110,6 @@ def test_tensors_of_special_angles(angle: float) -> None:
     np.testing.assert_allclose(found, expected, atol=1e-9)
     # At gimbal lock, too, the angles are those of the rotation.
     for pitch in (np.pi / 2.0, -np.pi / 2.0):
-        locked = torch.as_tensor(poses.quaternions_from_euler([[angle, pitch, 0.4]]))
-        turned = poses.quaternions_from_euler(rotations.euler_from_quaternions(locked))
+        locked = torch.as_tensor(rotations.quaternions_from_euler([[angle, pitch, 0.4]]))
+        turned = rotations.quaternions_from_euler(rotations.euler_from_quaternions(locked))
         assert float(abs((turned * locked).sum())) == pytest.approx(1.0, abs=1e-9)

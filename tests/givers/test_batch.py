@@ -11,7 +11,7 @@ from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, is_tensor, to_numpy
 from handover_marl.policies.batch import ArrayPolicyBatch
 from tests.givers.test_givers import seen
-from tests.tensors import make_device_tensors, make_observe_function
+from tests.helpers.tensors import make_device_tensors, make_observe_function
 
 pytestmark = pytest.mark.slow
 

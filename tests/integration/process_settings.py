@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from tests.comma_locale import COMMA
+from tests.helpers.comma_locale import COMMA
 
 FOLDER = Path(__file__).parent
 LEARNED = FOLDER.parent / "data" / "v0_7_0" / "policies" / "receiver.npz"

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.comma_locale import install_comma_locale
+from tests.helpers.comma_locale import install_comma_locale
 from tests.integration.process_settings import __file__ as script
 
 pytestmark = pytest.mark.slow

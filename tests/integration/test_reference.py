@@ -12,7 +12,7 @@ from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import ActionRecorder, EpisodeCallback, run_episode
 from handover_marl.episode.referee import EpisodeStatus
 from tests.conftest import RECORDINGS
-from tests.playing import play
+from tests.helpers.playing import play
 
 pytestmark = pytest.mark.slow
 

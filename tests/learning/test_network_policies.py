@@ -31,8 +31,8 @@ from handover_marl.learning.policy_spec import (
 from handover_marl.learning.schemes import count_outputs
 from handover_marl.policies.batch import ArrayPolicyBatch
 from handover_marl.policies.reference import parse_policy
+from tests.helpers.tensors import make_device_tensors, make_observe_function
 from tests.learning.array_encodings import CONTEXT, COUNT, ROWS, SCHEMES, draw_observation, select
-from tests.tensors import make_device_tensors, make_observe_function
 
 #: Features and action schemes, each of them at least once.
 PAIRS = [

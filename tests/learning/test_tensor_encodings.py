@@ -14,8 +14,8 @@ from handover_marl.geometry.arrays import ArrayFactory, is_tensor, to_numpy
 from handover_marl.learning.features import make_array_features
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
 from handover_marl.learning.schemes import make_array_scheme
+from tests.helpers.tensors import make_device_tensors
 from tests.learning.array_encodings import CONTEXT, FEATURES, SCHEMES, draw_observation, select
-from tests.tensors import make_device_tensors
 
 COUNT, N_STATES = 6, 14
 

@@ -18,7 +18,7 @@ from handover_marl.learning.networks.weights import read_network_weights
 from handover_marl.learning.policy_files import read_policy
 from handover_marl.learning.training.run_folder import read_checkpoint
 from handover_marl.policies.reference import read_policy_file
-from tests.unreadable import UNREADABLE, check_refusal
+from tests.helpers.unreadable import UNREADABLE, check_refusal
 
 READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "policy": ("policy.npz", lambda path: read_policy(path, "giver")),

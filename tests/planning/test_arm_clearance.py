@@ -9,7 +9,7 @@ from scipy.spatial import ConvexHull
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.geometry.model_files.meshes import read_link_vertices
 from handover_marl.planning.arm_control import ArmInWorld
-from handover_marl.planning.clearance import ARM_CAPSULES, Spheres, compute_arm_clearances
+from handover_marl.planning.robot_clearance import ARM_CAPSULES, Spheres, compute_arm_clearances
 from tests.planning.robots import ARM, LIMITS, START
 
 IN_WORLD = ArmInWorld(ARM, np.array([0.61, -0.5, 0.875, 0.0, 0.0, 0.7071068, 0.7071068]), LIMITS)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from handover_marl.geometry.poses import compose, transform_points
-from handover_marl.planning.clearance import (
+from handover_marl.planning.robot_clearance import (
     GRIPPER_BOX_CENTERS,
     GRIPPER_BOX_HALF_SIZES,
     Spheres,

@@ -8,7 +8,8 @@ import pytest
 from handover_marl.config import PandaConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.geometry.panda import WAITING_JOINTS
-from handover_marl.geometry.poses import compose, compute_rotation_angles
+from handover_marl.geometry.poses import compose
+from handover_marl.geometry.rotations import compute_rotation_angles
 from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.planning.ik_solvers import PandaIkSolver
 from handover_marl.simulation.bullet.kinematics import BulletIKSolver, BulletIKStep

@@ -6,16 +6,16 @@ from hypothesis import strategies as st
 
 from handover_marl.geometry.poses import transform_points
 from handover_marl.planning.arm_control import ArmInWorld
-from handover_marl.planning.clearance import (
-    Spheres,
-    find_closest_arm_points,
-    find_closest_points,
-)
 from handover_marl.planning.collision_avoidance import (
     MovingBody,
     SeparationConfig,
     enforce_separation,
     select_safe_velocity,
+)
+from handover_marl.planning.robot_clearance import (
+    Spheres,
+    find_closest_arm_points,
+    find_closest_points,
 )
 from tests.planning.robots import ARM, LIMITS, START
 

@@ -3,8 +3,8 @@
 import numpy as np
 
 from handover_marl.planning.arm_control import ArmInWorld
-from handover_marl.planning.clearance import Spheres
 from handover_marl.planning.collision_avoidance import PathObstacles, find_via_point, is_path_clear
+from handover_marl.planning.robot_clearance import Spheres
 from tests.planning.robots import ARM, LIMITS
 
 ARM_ = ArmInWorld(ARM, np.array([0.61, -0.5, 0.875, 0.0, 0.0, 0.7071068, 0.7071068]), LIMITS)

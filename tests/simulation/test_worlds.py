@@ -221,7 +221,7 @@ def advance_batch(backend: str, rows: list[int], scenes: list[Scene], count: int
         running = everyone[episodes.referees.status[everyone] == 0]
         robot, giver = (episodes.arrays.asarray(array)[running] for array in (targets, deviations))
         episodes.advance(running, robot, steps, giver)
-        episodes.observe(everyone)
+        episodes.update_state(everyone)
         state = {**episodes.select_state(own), **episodes.make_infos(own)}
         found.append({key: to_numpy(value) for key, value in state.items()})
     episodes.close()

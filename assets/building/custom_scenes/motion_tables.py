@@ -108,7 +108,7 @@ class MotionTable:
     Attributes:
         time: (T,) times from 0 (s), ascending.
         bodies: Poses (T, 7) of `object` and of the other objects by class name: position (m), quaternion xyzw.
-        wrist: Poses (n, 7) of the wrist, likewise, in the rows of `wrist_rows`; None without a wrist.
+        wrist: Poses (n, 7) of the wrist, likewise, in the rows of `wrist_rows`; None if there is no wrist.
         wrist_rows: First row with the wrist, and the row after the last.
         fingers: (n, 45) finger joint angles (rad, intrinsic XYZ Euler angles) in these rows, or None.
         repairs: Changes that were made to the recording.
@@ -367,7 +367,7 @@ def make_trajectory(
     """Resample recorded poses to 1 kHz; return the arrays `object_dof`, `hand_dof` and `hand_span` of a motion file.
 
     `others` are the other objects, in the order of the result; `fingers` (n, 45) are angles (rad) in the rows with the
-    wrist. `model` and `fingers` are None without a hand.
+    wrist. `model` and `fingers` are None if there is no hand.
     """
     times = np.arange(np.floor(table.time[-1] / TIME_STEP + 1e-6) + 1.0) * TIME_STEP
     poses = [table.bodies[name] for name in (OBJECT, *others)]

@@ -29,7 +29,7 @@ from handover_marl.learning.training.scene_arguments import run_script
 
 
 def make_algorithm(env: EncodedEnv, agent: str, args: PairArgs) -> PPO:
-    """Make PPO with an actor and a critic for one agent; the first outputs are nearly zero, a sensible action."""
+    """Make PPO with an actor and a critic for one agent; the mean action is nearly zero before the training."""
     n_inputs, actions = env.observation_space(agent).shape[0], env.action_space(agent)
     nets = [Net(state_shape=(n_inputs,), hidden_sizes=[args.width] * 2, activation=nn.Tanh) for _ in range(2)]
     actor = ContinuousActorProbabilistic(preprocess_net=nets[0], action_shape=actions.shape, unbounded=True)

@@ -32,7 +32,8 @@ from handover_marl.execution.reading import read_arrays, read_plain_file, report
 from handover_marl.geometry.model_files.meshes import read_collision_mesh
 from handover_marl.geometry.model_files.urdf import list_mesh_references
 from handover_marl.geometry.panda import FINGERTIPS, PANDA
-from handover_marl.geometry.poses import compute_rotation_angles, quaternions_from_euler, transform_points
+from handover_marl.geometry.poses import transform_points
+from handover_marl.geometry.rotations import compute_rotation_angles, quaternions_from_euler
 from handover_marl.geometry.ycb import CLASS_NAMES
 
 Array = npt.NDArray[np.float64]

@@ -59,7 +59,7 @@ class SequenceFolder:
 
 @cache
 def read_sequence_names() -> MappingProxyType[str, tuple[str, ...]]:
-    """Return the names of DexYCB's 100 recordings of every subject, in order of scene number."""
+    """Return the names of DexYCB's 100 recordings of each subject, in the order of their scene numbers, by subject."""
     lines = (files(__package__) / "sequence_names.txt").read_text().splitlines()
     pairs = [line.split("/") for line in lines if not line.startswith("#")]
     return MappingProxyType({subject: tuple(name for owner, name in pairs if owner == subject) for subject in SUBJECTS})

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from scipy.interpolate import splev, splrep
 from scipy.spatial.transform import Rotation, Slerp
 
-from handover_marl.geometry.poses import unnormalized_quaternion_from_matrix
+from handover_marl.geometry.rotations import unnormalized_quaternions_from_matrices
 
 Float32 = npt.NDArray[np.float32]
 Float64 = npt.NDArray[np.float64]
@@ -179,10 +179,10 @@ class TagFrame:
 def quaternions_from_matrices(matrices: npt.ArrayLike) -> Float64:
     """Return unit quaternions xyzw (n, 4) of nearly orthogonal matrices (n, 3, 3), as SciPy up to 1.11 computed them.
 
-    The squared norm is summed from left to right, unlike in `geometry.poses`, whose order of sums
+    The squared norm is summed from left to right, unlike in `geometry.rotations`, whose order of sums
     depends on the machine.
     """
-    q = unnormalized_quaternion_from_matrix(matrices)
+    q = unnormalized_quaternions_from_matrices(matrices)
     x, y, z, w = (q[..., i] for i in range(4))
     norm = np.sqrt(((x * x + y * y) + z * z) + w * w)
     return np.asarray(q / norm[..., None])

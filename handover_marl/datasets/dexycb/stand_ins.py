@@ -41,7 +41,7 @@ from handover_marl.geometry.ycb import CLASS_NAMES
 
 @contextmanager
 def open_folder(source: Path) -> Iterator[Path]:
-    """Yield a folder, or a temporary folder with the content of a .tar, .tar.gz, .tar.bz2, .tar.xz or .zip archive.
+    """Yield `source` if it is a folder, else a temporary folder with the content of a .tar, .tar.*, or .zip archive.
 
     Raises:
         DataNotFoundError: The source does not exist or is not a folder or plain file.

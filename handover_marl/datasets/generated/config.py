@@ -57,11 +57,11 @@ class GeneratedConfig:
         left: Share (0 to 1) of scenes in which the giver uses the left hand.
         clutter_min: Smallest number of other objects on the table.
         clutter_max: Largest number of other objects on the table.
-        boxes: Weight of boxes among the procedural objects.
-        cylinders: Weight of cylinders.
-        bottles: Weight of bottles.
-        tools: Weight of tools.
-        superquadrics: Weight of superquadrics.
+        boxes: Relative frequency of boxes among the procedural objects; only ratios of the frequencies matter.
+        cylinders: Relative frequency of cylinders.
+        bottles: Relative frequency of bottles.
+        tools: Relative frequency of tools.
+        superquadrics: Relative frequency of superquadrics.
     """
 
     n: int = 1000
@@ -92,7 +92,7 @@ class GeneratedConfig:
 
     @property
     def kind_weights(self) -> tuple[float, ...]:
-        """Weights of the kinds of procedural objects, in the order of `OBJECT_KINDS`."""
+        """Relative frequencies of the kinds of procedural objects, in the order of `OBJECT_KINDS`; the sum is free."""
         return tuple(getattr(self, name) for name in OBJECT_KINDS)
 
     @property

@@ -150,7 +150,7 @@ class GeneratedDataset(HandoverGenerator):
         return _write_object_model(object_name, _load_shape(self.config, self._numbers[object_name])[0])
 
     def load_grasps(self, object_name: str) -> Array | None:
-        """Return robot grasps of a class, gripper poses (n, 4, 4) in the object's frame (m), or None without grasps.
+        """Return robot grasps of a class, gripper poses (n, 4, 4) in the object's frame (m), or None if it has none.
 
         Grasps of shipped objects have held the object in simulation. Grasps of procedural objects are
         antipodal and do not collide with the object; they are not simulated.

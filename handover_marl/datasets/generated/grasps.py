@@ -31,7 +31,7 @@ from handover_marl.datasets.generated.hands import (
 from handover_marl.datasets.generated.random_stream import RandomStream
 from handover_marl.datasets.generated.shapes import Solid, normalize
 from handover_marl.geometry.model_files.meshes import find_farthest_points
-from handover_marl.geometry.poses import compute_cross_products
+from handover_marl.geometry.vectors import compute_cross_products
 
 Array = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -124,7 +124,7 @@ def _sample_open_hands(
     random: RandomStream, solid: Solid, templates: HandTemplates, n_pairs: int
 ) -> tuple[Palms, Ints]:
     """Sample open hands that do not touch the object: poses of n palms, and their indices (n,) of `templates`."""
-    thumb_side, finger_side, cosines = solid.sample_opposite_points(random, n_pairs, _MAX_WIDTH, 0.18)
+    thumb_side, finger_side, cosines = solid.sample_antipodal_points(random, n_pairs, _MAX_WIDTH, 0.18)
     noise, draws = random.uniforms(n_pairs, 6), random.uniforms(n_pairs, 4)
     across = finger_side - thumb_side
     width = np.linalg.norm(across, axis=1)
@@ -327,7 +327,7 @@ def draw_robot_grasps(
     Grasps are tried from `n_points` points of the surface, and up to `n_grasps` are chosen, with `is_varied` far from
     each other. They are rounded to float32; n can be 0.
     """
-    first, second, cosines = solid.sample_opposite_points(random, n_points, _MAX_OPENING, _CLOSING_TILT)
+    first, second, cosines = solid.sample_antipodal_points(random, n_points, _MAX_OPENING, _CLOSING_TILT)
     noise, draws = random.normals(n_points, 3), random.uniforms(n_points, 2)
     good = np.flatnonzero(cosines > np.cos(_MAX_CONE_ANGLE))
     # The gripper is symmetric: swap the fingers at random.

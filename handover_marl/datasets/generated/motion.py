@@ -26,7 +26,7 @@ from handover_marl.datasets.generated.placement import (
     SimulatedGiver,
 )
 from handover_marl.datasets.generated.random_stream import FRAME_COUNTS, MIRROR_X, RandomStream, Seed, open_stream
-from handover_marl.geometry.poses import multiply_quaternions
+from handover_marl.geometry.rotations import multiply_quaternions
 
 Array = npt.NDArray[np.float64]
 Float32 = npt.NDArray[np.float32]

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.distance import cdist
 
-from handover_marl.assets.hand_model import HandGeometry, matrices_from_euler
+from handover_marl.assets.hand_model import HandGeometry
 from handover_marl.assets.human_grasps import LEVELS, HumanGrasps
 from handover_marl.assets.shipped import find_object_urdf
 from handover_marl.datasets.dataset import TABLE_HEIGHT
@@ -34,12 +34,13 @@ from handover_marl.geometry.panda import (
 )
 from handover_marl.geometry.poses import (
     compose,
-    compute_cross_products,
     compute_pose_distances,
     poses_from_matrices,
     poses_from_rotations,
     transform_points,
 )
+from handover_marl.geometry.rotations import matrices_from_euler
+from handover_marl.geometry.vectors import compute_cross_products
 from handover_marl.geometry.ycb import CLASS_NAMES
 
 Array = npt.NDArray[np.float64]
@@ -107,7 +108,7 @@ class SimulatedGiver:
         wrist_distances: Quantiles (m) of the wrist's distance from the object, at the levels
             `handover_marl.assets.human_grasps.LEVELS`.
         grasps: The person's g grasps of the object.
-        robot_grasps: (n, 7) poses of the Panda's hand link at robot grasps, or None for a class without grasps.
+        robot_grasps: (n, 7) poses (quaternion xyzw) of the Panda's hand link at robot grasps, or None for no grasps.
     """
 
     class_id: int
@@ -289,7 +290,7 @@ def _make_gripper_points() -> Array:
 
 
 def hand_poses_from_grasps(transforms: Array) -> Array:
-    """Return poses (n, 7) of the Panda's hand link for gripper poses (n, 4, 4) in HandoverSim's convention (m)."""
+    """Return poses (n, 7), xyz and xyzw, of the Panda's hand link for HandoverSim's gripper poses (n, 4, 4) in m."""
     return np.asarray(compose(poses_from_matrices(transforms), np.array(GRIPPER_FROM_HAND)))
 
 

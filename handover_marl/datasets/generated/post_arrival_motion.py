@@ -16,7 +16,7 @@ from handover_marl.datasets.generated.motion import KEYFRAME_PERIOD, KeyframeMot
 from handover_marl.datasets.generated.placement import JOINT_CLEARANCE, SimulatedGiver
 from handover_marl.datasets.generated.random_stream import RandomStream
 from handover_marl.geometry.panda import SHOULDER_HEIGHT
-from handover_marl.geometry.poses import multiply_quaternions
+from handover_marl.geometry.rotations import multiply_quaternions
 
 Array = npt.NDArray[np.float64]
 

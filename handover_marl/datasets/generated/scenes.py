@@ -38,8 +38,8 @@ class GeneratedHandover(NamedTuple):
     Attributes:
         giver: Person with the handed-over object.
         class_ids: Class numbers of the objects on the table, the handed-over one first.
-        object_dof: (T, n, 6) float32 motion of the objects.
-        hand_dof: (T, 51) float32 motion of the hand.
+        object_dof: (T, n, 6) float32 positions xyz and intrinsic XYZ Euler angles of the objects.
+        hand_dof: (T, 51) float32 joint positions of the hand: 3 positions, 48 angles.
         hand_first: First frame in which the hand is visible; it remains visible to the end.
     """
 

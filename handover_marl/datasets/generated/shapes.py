@@ -17,7 +17,7 @@ from handover_marl.assets.shipped import COLLISION_NAME
 from handover_marl.datasets.generated.random_stream import RandomStream
 from handover_marl.geometry.model_files.meshes import compute_convex_hull
 from handover_marl.geometry.model_files.obj_files import read_obj
-from handover_marl.geometry.poses import compute_cross_products
+from handover_marl.geometry.vectors import compute_cross_products
 
 Array = npt.NDArray[np.float64]
 Faces = npt.NDArray[np.int64]
@@ -184,14 +184,14 @@ class Solid:
         slopes = around[..., :3] - around[..., 3:]
         return np.asarray(slopes / np.maximum(np.linalg.norm(slopes, axis=-1, keepdims=True), _SMALL))
 
-    def sample_opposite_points(
-        self, random: RandomStream, count: int, max_width: float, tilt: float
+    def sample_antipodal_points(
+        self, random: RandomStream, count: int, max_width: float, direction_std: float
     ) -> tuple[Array, Array, Array]:
-        """Sample pairs of opposite points on the outer surface, by rays from `count` surface points through the solid.
+        """Sample antipodal points on the outer surface, by rays from `count` surface points through the solid.
 
-        Pairs are at most `max_width` apart (m); `tilt` is the standard deviation of the components (rad) by
-        which rays deviate from the normal. Returns points (k, 3), opposite points (k, 3) in m, and cosines (k,)
-        of the angles between the rays and the normals at the opposite points.
+        Pairs are at most `max_width` apart (m). Rays deviate from the normal by a random vector whose components have
+        the standard deviation `direction_std` (rad). Returns points (k, 3) and opposite points (k, 3) in m, and
+        cosines (k,) of the angles between the rays and the normals at the opposite points.
         """
         draws, noise, choices = random.uniforms(count, 3), random.normals(count, 3), random.uniforms(count)
         corners = np.concatenate([part.vertices[part.faces] for part in self.parts])
@@ -201,7 +201,7 @@ class Solid:
         root = np.sqrt(draws[:, 1:2])
         weights = np.concatenate([1.0 - root, root * (1.0 - draws[:, 2:]), root * draws[:, 2:]], axis=1)
         points = np.einsum("nk,nkc->nc", weights, corners[chosen])
-        directions = tilt * noise - normals[chosen] / areas[chosen, None]
+        directions = direction_std * noise - normals[chosen] / areas[chosen, None]
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         rays = zip(self._split(points), self._split(directions), self._split(choices), strict=True)
         found = [self._find_exits(starts, ways, shares, max_width) for starts, ways, shares in rays]

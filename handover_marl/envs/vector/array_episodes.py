@@ -126,7 +126,7 @@ class ArrayEpisodes:
             features.reset(row)
         if self._camera is not None:
             self._camera.reset(row, scene.assets, camera_seed)
-        episodes.observe(rows)
+        episodes.update_state(rows)
         if self._partner is not None:
             self._partner.reset(row, self._derive_partner_seed(seed, scene, rows), scene.info.object_names)
         self._cycles[row] = 0
@@ -166,7 +166,7 @@ class ArrayEpisodes:
         for agent, scheme in self._schemes.items():
             actions[agent] = scheme.compute_actions(rows, self._select_observation(agent, rows))
         actions = self._simulate(rows, actions, config.control_steps)
-        episodes.observe(rows)
+        episodes.update_state(rows)
         self._cycles[rows] += 1
         status, timeout = episodes.referees.status[rows], int(EpisodeStatus.TIMEOUT)
         terminated = (status & ~timeout) != 0
@@ -206,7 +206,7 @@ class ArrayEpisodes:
             left = xp.nonzero((referees.status[rows] == 0) & (referees.steps[rows] < ends))[0]
             rows, ends, actions = rows[left], ends[left], {name: values[left] for name, values in actions.items()}
             if len(rows):
-                episodes.observe(rows)
+                episodes.update_state(rows)
         return first or actions
 
     def _advance_until(self, until: AnyIntegers, rows: AnyIndices, actions: ByAgent) -> None:

@@ -187,8 +187,6 @@ class EnvBatch:
         autoreset: Gymnasium's mode of the reset after an episode's end.
 
     Attributes:
-        num_envs: Number n of environments.
-        autoreset: Gymnasium's mode of the reset after an episode's end.
         arrays: Creator of the arrays that `reset` and `step` return.
         is_running: Whether every environment has been reset, and no reset or step has failed since.
     """

@@ -86,7 +86,7 @@ class RewardSums:
         return infos
 
     def clear(self, rows: AnyIndices) -> None:
-        """Set the rewards of the episodes `rows` since the last `clear` to zero."""
+        """Reset the sums of the episodes `rows`, from which `totals` counts again."""
         for sums in self._sums.values():
             sums[rows, _SINCE_CLEAR] = 0.0
 

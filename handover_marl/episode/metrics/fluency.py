@@ -109,7 +109,7 @@ class FluencyMetrics:
     """Fluency, safety and effort of one episode.
 
     Attributes:
-        handover_time: Time from the start of the episode to the release of the object (s); None without a release.
+        handover_time: Time from the start of the episode to the release of the object (s); None if there is no release.
         human_idle: Share of the episode (0 to 1) in which the person does not move or is absent.
         robot_idle: Share of the episode (0 to 1) in which the robot does not move.
         concurrent: Share of the episode (0 to 1) in which person and robot both move.
@@ -118,17 +118,17 @@ class FluencyMetrics:
             without a release or without such activities.
         max_robot_object_force: Largest sum of the normal forces between robot and object in one physics step (N).
         min_distance: Smallest distance between the surfaces of robot and human hand (m), sampled every 20 ms; 0
-            after contact, None without a hand.
+            after contact, None if there is no hand.
         giver_path: Length (m) of the path of the person's wrist, until the release or the end.
         giver_smoothness: Spectral arc length of the wrist's speed until the release or the end; at
             most 0, smoother if closer to 0; None if the wrist does not move.
         reach: Largest distance (m) of the wrist from its first position until the release or the
             end, a measure of how far a person has to reach.
         max_robot_hand_force: Largest sum of the normal forces between robot and human hand in one
-            physics step of 1 ms (N); None without contact. By the official rules a contact ends the
+            physics step of 1 ms (N); None if there is no contact. By the official rules a contact ends the
             episode, so the value is the force of the first step.
         robot_hand_impulse: Sum over all physics steps of the normal forces between robot and human
-            hand, times 1 ms (N s); None without contact.
+            hand, times 1 ms (N s); None if there is no contact.
         giver_jerk: Root mean square jerk of the person's wrist (m/s^3), until the release or the end;
             None if the hand is present for less than 260 ms.
         gripper_jerk: Root mean square jerk of the robot's hand link (m/s^3) in the whole episode; None
@@ -140,14 +140,14 @@ class FluencyMetrics:
         exchange_time: Time from the robot's first contact with the object to the release (s); None
             without a release after such a contact.
         gripper_contact_speed: Speed of the robot's hand link at the first contact with the object (m/s),
-            averaged over 60 ms; None without contact.
+            averaged over 60 ms; None if there is no contact.
         robot_object_impulse: Sum over all physics steps until the release of the normal forces between
-            robot and object, times 1 ms (N s); None without contact until the release.
+            robot and object, times 1 ms (N s); None if there is no contact until the release.
         min_separation_margin: Smallest distance between the surfaces of robot and human hand minus the protective
             separation distance of ISO/TS 15066 (m), sampled every 20 ms; negative if the robot could touch
-            the hand before it stops; None without a hand.
+            the hand before it stops; None if there is no hand.
         giver_rula: Mean of RULA's scores of the giver's upper arm and forearm, 2 (best) to 8, until
-            the release or the end, for an assumed shoulder; None without a hand.
+            the release or the end, for an assumed shoulder; None if there is no hand.
     """
 
     handover_time: float | None

@@ -15,7 +15,7 @@ from handover_marl.config import HAND_DOF, TIME_STEP
 from handover_marl.episode.loop import EpisodeCallback
 from handover_marl.geometry.kinematic_tree import compute_link_trajectory, read_tree
 from handover_marl.geometry.panda import HAND_LINK
-from handover_marl.simulation.clearance import ClearanceMonitor
+from handover_marl.simulation.distance_queries import ClearanceMonitor
 from handover_marl.simulation.engines import make_distance_query
 from handover_marl.simulation.reference_tracking import WRIST_LINK
 
@@ -49,20 +49,20 @@ class EpisodeTrace:
     Attributes:
         gripper: (n, 3) positions of the Panda's hand link (m).
         fingers: (n, 2) positions of the finger joints (m).
-        wrist: (n, 3) positions of the person's wrist (m), NaN without a hand.
+        wrist: (n, 3) positions of the person's wrist (m), NaN if there is no hand.
         steps: Number of physics steps of the episode.
-        release_step: Physics step after which the person released the object; None without a release.
+        release_step: Physics step after which the person released the object; None if there is no release.
         max_object_force: Largest sum of the normal forces between robot and object in one physics step (N).
-        min_distance: Smallest distance between robot and human hand (m), 0 after contact, None without a hand.
+        min_distance: Smallest distance between robot and human hand (m), 0 after contact, None if there is no hand.
         max_hand_force: Largest sum of the normal forces between robot and human hand in one physics step (N); None
             without contact.
         hand_impulse: Sum over all physics steps of the normal forces between robot and human hand,
-            times the duration of a step (N s); None without contact.
-        contact_step: First physics step in which the robot touched the object; None without contact.
+            times the duration of a step (N s); None if there is no contact.
+        contact_step: First physics step in which the robot touched the object; None if there is no contact.
         object_impulse: Sum over the physics steps until the release of the normal forces between robot and
             object, times the duration of a step (N s).
         min_separation_margin: Smallest distance between robot and human hand minus the protective distance
-            of `compute_protective_distances` (m); None without a hand.
+            of `compute_protective_distances` (m); None if there is no hand.
         side: Side of the human hand, "right" or "left".
         sample_steps: Physics steps between two samples.
     """
@@ -94,7 +94,7 @@ class EpisodeTrace:
 
     @property
     def release_time(self) -> float | None:
-        """Time of the release of the object (s), or None without a release."""
+        """Time of the release of the object (s), or None if there is no release."""
         return None if self.release_step is None else self.release_step * TIME_STEP
 
     def count_samples_until(self, step: int) -> int:
@@ -294,7 +294,7 @@ def compute_sampled_distances(wrist: Array, gripper: Array, n_samples: int) -> A
     """Compute the protective distances (n + 1,) in m at n samples and the last step, with the last sample's speeds.
 
     Args:
-        wrist: (n + 1, 3) positions of the wrist at the samples and the last step (m), NaN without a hand.
+        wrist: (n + 1, 3) positions of the wrist at the samples and the last step (m), NaN if there is no hand.
         gripper: (n + 1, 3) positions of the gripper (m).
         n_samples: Number n of samples.
     """

@@ -40,7 +40,7 @@ class Estimate:
 
     Attributes:
         mean: Value; None if no episode has one.
-        interval_95: Lower and upper end of the 95 % interval, or None without an interval.
+        interval_95: Lower and upper end of the 95 % interval, or None if there is no interval.
         n: Number of values.
     """
 
@@ -207,7 +207,7 @@ class ReportTable:
         return self.format()
 
     def select(self, columns: Sequence[str]) -> "ReportTable":
-        """Return the table with these columns alone (no titles: all), in their order; without rows if it lacks one."""
+        """Return a table with the given columns in this order, all for none; it has no rows if a column is missing."""
         if not columns:
             return self
         if not set(columns) <= set(self.header):
@@ -216,7 +216,7 @@ class ReportTable:
         return ReportTable(columns, [[row[place] for place in places] for row in self.rows])
 
     def format(self, style: TableFormat = "markdown") -> str:
-        """Return the table as text; empty without rows. Only Markdown splits wide tables.
+        """Return the table as text; empty if there are no rows. Only Markdown splits wide tables.
 
         Args:
             style: "markdown", "csv" or "latex" (booktabs, special characters escaped).
@@ -271,8 +271,8 @@ class TabularResult(ABC):
         """Return the result as text, with an empty line between two parts.
 
         Args:
-            style: "markdown"; "csv" for the tables alone; or "latex", in which texts are comments.
-            columns: Titles of columns: only tables with all of them are included, with these columns alone.
+            style: "markdown"; "csv" for only the tables; or "latex", in which texts are comments.
+            columns: Titles of columns: only tables with all of them are included, with only these columns.
 
         Raises:
             UnknownNameError: Unknown style, or a column that no table has.

@@ -114,7 +114,7 @@ class ReferenceTable(TabularResult):
         return [f"Best policies known for the partners of {self.population.label}.", table]
 
     def find(self, condition: Condition, partner: str) -> Reference | None:
-        """Return the best policy known for a partner, with its scores in a condition's scenes; None without one."""
+        """Return the best policy known for a partner, with its scores in a condition's scenes, or None if unknown."""
         found = []
         for known, section in self.sections.items():
             if partner in section and known.contains(condition):

@@ -34,10 +34,10 @@ from handover_marl.evaluation.results import EpisodeResult
 from handover_marl.evaluation.strangers.references import Condition, Reference
 from handover_marl.evaluation.strangers.scores import (
     Statistic,
-    compute_largest,
+    compute_max_over_partners,
     compute_mean,
+    compute_min_over_partners,
     compute_proximity,
-    compute_worst,
     compute_worst_proximity,
     estimate,
     estimate_rate,
@@ -162,8 +162,8 @@ class StrangersReport(TabularResult):
     def estimate_all(self) -> dict[str, Estimate]:
         """Return estimates (0..1) of success, contact, AS, BR-Prox (with references) and worst partner, by key."""
         found = self._estimate_means(range(len(self.partners))) | {
-            "worst_partner_success": estimate_rate(compute_worst, self.successes, None),
-            "largest_partner_contact": estimate_rate(compute_largest, self.contacts, None),
+            "worst_partner_success": estimate_rate(compute_min_over_partners, self.successes, None),
+            "largest_partner_contact": estimate_rate(compute_max_over_partners, self.contacts, None),
         }
         if self.best_scores is not None:
             found["br_prox"] = self._estimate_proximity(compute_proximity, self.partner_families, self.best_scores)

@@ -41,23 +41,23 @@ def compute_proximity(returns: Array, references: Array) -> float:
 
 
 def compute_mean(returns: Array, references: Array) -> float:
-    """Compute the mean of returns (policies, partners), which are scores averaged over scenes; ignore `references`."""
+    """Compute the mean of returns (policies, partners) over both axes; ignore `references`."""
     return float(returns.mean())
 
 
-def compute_worst(returns: Array, references: Array) -> float:
-    """Average returns (policies, partners) over policies; return the worst partner's. `references` is not used."""
+def compute_min_over_partners(returns: Array, references: Array) -> float:
+    """Average returns (policies, partners) over policies; return the smallest of the means; ignore `references`."""
     return float(returns.mean(axis=0).min())
 
 
-def compute_largest(returns: Array, references: Array) -> float:
-    """Average returns (policies, partners) over policies; return the largest mean. `references` is not used."""
+def compute_max_over_partners(returns: Array, references: Array) -> float:
+    """Average returns (policies, partners) over policies; return the largest of the means; ignore `references`."""
     return float(returns.mean(axis=0).max())
 
 
 def compute_worst_proximity(returns: Array, references: Array) -> float:
-    """Average `compute_proximities` over policies; return the smallest, that with the worst partner."""
-    return compute_worst(compute_proximities(returns, references), references)
+    """Average `compute_proximities` (policies, partners) over policies; return the smallest of the partners' means."""
+    return compute_min_over_partners(compute_proximities(returns, references), references)
 
 
 def estimate(

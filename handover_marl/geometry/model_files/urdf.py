@@ -16,7 +16,7 @@ from handover_marl.errors import SimulationError
 from handover_marl.execution.reading import read_plain_file
 from handover_marl.geometry.kinematic_tree import KinematicTree, matrix_from_rpy
 from handover_marl.geometry.model_files.urdf_xml import MAX_URDF_BYTES, parse_urdf, read_attribute
-from handover_marl.geometry.poses import quaternion_from_matrix
+from handover_marl.geometry.rotations import quaternions_from_matrices
 
 Color = tuple[float, ...]
 
@@ -198,7 +198,7 @@ def _read_shape(element: ET.Element, link: int, folder: Path, color: Color) -> U
     numbers = _parse_numbers(size, 1 if shape.tag == "sphere" else 3)
     xyz, rpy = (read_attribute(element, "origin", name, "0 0 0") for name in ("xyz", "rpy"))
     _parse_numbers(rpy, 3)
-    pose = np.concatenate([_parse_numbers(xyz, 3), quaternion_from_matrix(matrix_from_rpy(rpy))])
+    pose = np.concatenate([_parse_numbers(xyz, 3), quaternions_from_matrices(matrix_from_rpy(rpy))])
     return UrdfShape(link, shape.tag, numbers, mesh, pose, color)
 
 

@@ -36,7 +36,6 @@ class FunctionPolicy(Policy):
 
     Attributes:
         function: Function from inputs to outputs.
-        spec: Agent, and encoding of inputs and outputs.
         scheme: Action scheme that decodes the outputs.
 
     Raises:
@@ -94,7 +93,7 @@ class FunctionPolicy(Policy):
         return self.spec.control_period
 
     def reset(self, seed: int | None = None) -> None:
-        """Clear the state of the previous episode, and call `reset(seed)` of the function if it has this method."""
+        """Start an episode: forget the last one, and call the method `reset(seed)` of the function if it has one."""
         self.scheme.reset()
         if self._features is not None:
             self._features.reset()

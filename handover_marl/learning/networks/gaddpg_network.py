@@ -22,7 +22,8 @@ from torch import Tensor, nn
 from handover_marl.errors import DataFormatError, DataNotFoundError, UnsafeFileError
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.reading import read_plain_file
-from handover_marl.geometry.poses import IDENTITY, normalize_quaternions
+from handover_marl.geometry.poses import IDENTITY
+from handover_marl.geometry.rotations import normalize_quaternions
 from handover_marl.learning.networks.approach_field import MAX_ROTATION, MAX_TRANSLATION, compute_approach_steps
 from handover_marl.learning.networks.point_encoders import PointNetPlusPlus
 from handover_marl.learning.networks.weights import (

@@ -130,10 +130,10 @@ class SetAbstraction(nn.Module):
 
 
 class PointNetPlusPlus(nn.Module):
-    """Encoder of GA-DDPG: three set abstractions and two dense layers.
+    """PointNet++ encoder of GA-DDPG: three set abstractions and two dense layers.
 
-    The result depends on which point is first, and on the order of the others only if a ball
-    contains more points than are grouped.
+    The vector depends on which point of a cloud is first, from which farthest point sampling starts. It depends on the
+    order of the other points only if a ball has more points than its group.
     """
 
     n_features = 512

@@ -16,7 +16,8 @@ from handover_marl.config import PANDA_DOF, TIME_STEP, HandConfig, MotorConfig, 
 from handover_marl.datasets.dataset import SceneAssets
 from handover_marl.errors import SimulationError
 from handover_marl.geometry.panda import CAMERA_LINK, FINGER_LINKS, HAND_FROM_CAMERA_LINK, HAND_LINK
-from handover_marl.geometry.poses import IDENTITY, compose, multiply_quaternions, transform_points
+from handover_marl.geometry.poses import IDENTITY, compose, transform_points
+from handover_marl.geometry.rotations import multiply_quaternions
 from handover_marl.geometry.ycb import SCENE_CLASSES
 from handover_marl.simulation.bullet.client import BulletClient, load_urdf, to_float32_list
 from handover_marl.simulation.reference_tracking import list_hand_motors, list_object_motors, select_keypoint_links
@@ -36,7 +37,7 @@ RELEASED_MASK = -1 - HAND_MASK
 
 
 def reset_base(client: BulletClient, body_id: int, world_from_base: npt.ArrayLike) -> None:
-    """Set the world pose (7,) of the URDF frame of a body's base link.
+    """Set the world pose (7,) (quaternion xyzw) of the URDF frame of a body's base link.
 
     Bullet sets base poses at the centre of mass.
     """
@@ -62,11 +63,10 @@ class ArticulatedBody:
         mask: Collision group and mask of all links.
         joints: Positions of the moving joints after loading (m, rad).
         velocities: Velocities of the moving joints (m/s, rad/s); None means that the body is at rest.
-        base: (7,) world pose of the base link.
+        base: (7,) world pose (quaternion xyzw) of the base link.
         flags: Flags of PyBullet's `loadURDF`.
 
     Attributes:
-        client: Physics client.
         id: PyBullet body number.
         n_links: Number of links without the base link.
         joints: PyBullet joint numbers of the moving joints.

@@ -14,11 +14,12 @@ from handover_marl.config import ARM_DOF, HandConfig, PandaConfig
 from handover_marl.geometry.arm import IkSolver, ReachabilityBound
 from handover_marl.geometry.kinematic_tree import BoundingSphere, read_tree
 from handover_marl.geometry.panda import HAND_LINK
-from handover_marl.geometry.poses import compute_rotation_angles, invert_pose, multiply_quaternions, transform_points
+from handover_marl.geometry.poses import invert_pose, transform_points
+from handover_marl.geometry.rotations import compute_rotation_angles, multiply_quaternions
 from handover_marl.simulation.bullet.bodies import INERTIAL_POSE, HandBody, PandaBody, reset_base
 from handover_marl.simulation.bullet.client import CONTACT_DISTANCE, connect, load_urdf
 from handover_marl.simulation.bullet.sleepable_bodies import read_bounding_spheres
-from handover_marl.simulation.clearance import DistanceQuery
+from handover_marl.simulation.distance_queries import DistanceQuery
 
 Array = npt.NDArray[np.float64]
 
@@ -68,11 +69,11 @@ class BulletIKStep:
         return np.array(self._client.calculateInverseKinematics(self._panda.id, self._panda.hand_link, *target))
 
     def to_base_frame(self, world_from_hand: npt.NDArray[np.floating]) -> Array:
-        """Transform a world pose (7,) to the robot's base frame, rounded to float32."""
+        """Transform a world pose (7,) (quaternion xyzw) to the robot's base frame, rounded to float32."""
         return self._multiply(self._base_from_world, (world_from_hand[:3].tolist(), world_from_hand[3:].tolist()))
 
     def to_world_frame(self, base_from_hand: Array) -> Array:
-        """Transform a pose (7,) from the robot's base frame to the world, rounded to float32."""
+        """Transform a pose (7,) (quaternion xyzw) from the robot's base frame to the world, rounded to float32."""
         return self._multiply(self._base, (base_from_hand[:3].tolist(), base_from_hand[3:].tolist()))
 
     def _multiply(self, first: tuple[object, object], second: tuple[object, object]) -> Array:

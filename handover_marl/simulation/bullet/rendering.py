@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from handover_marl.config import OBJECT_DOF, CameraConfig, PhysicsConfig
 from handover_marl.datasets.dataset import Scene
-from handover_marl.geometry.poses import multiply_quaternions
+from handover_marl.geometry.rotations import multiply_quaternions
 from handover_marl.simulation.bullet.bodies import (
     HandBody,
     ObjectBody,

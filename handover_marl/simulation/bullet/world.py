@@ -103,11 +103,11 @@ class BulletWorld(World):
 
     @abstractmethod
     def _read_hand_joints(self) -> npt.NDArray[np.float32] | None:
-        """Return the joint positions (51,) of the hand (m, rad), float32; None without a hand."""
+        """Return the joint positions (51,) of the hand (m, rad), float32; None if there is no hand."""
 
     @abstractmethod
     def _read_hand_keypoints(self) -> npt.NDArray[np.float32] | None:
-        """Return the world keypoints (16, 3) of wrist and fingers (m); None without a hand."""
+        """Return the world keypoints (16, 3) of wrist and fingers (m); None if there is no hand."""
 
     @property
     def _loaded_workcell(self) -> Workcell:

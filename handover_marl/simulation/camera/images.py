@@ -44,7 +44,7 @@ class JointSnapshot(NamedTuple):
 
     Attributes:
         robot: Positions (9,) of the Panda's joints.
-        hand: Positions (51,) of the human hand's joints, or None without a hand.
+        hand: Positions (51,) of the human hand's joints, or None if there is no hand.
         objects: Positions (n, 6) of the objects' joint chains: xyz and intrinsic XYZ Euler angles.
     """
 

@@ -98,7 +98,6 @@ class RayBody:
         base: (7,) world pose of the base link, xyz (m) and quaternion xyzw.
 
     Attributes:
-        label: Segmentation label of the body's pixels.
         meshes: Meshes of the n links that have visual shapes.
         lowest: (n, 3) lower corners of the meshes' bounding boxes, in the links' frames (m).
         highest: (n, 3) upper corners of the meshes' bounding boxes, in the links' frames (m).

@@ -30,7 +30,7 @@ from handover_marl.geometry.rotations import matrices_from_quaternions
 from handover_marl.simulation.camera.images import SegmentationLabel
 from handover_marl.simulation.camera.optics import CAMERA_POSITION_IN_HAND, HAND_FROM_CAMERA, INVISIBLE_LINKS, N_PIXELS
 from handover_marl.simulation.camera.warp_kernels import render_images
-from handover_marl.simulation.tensor_state import WarpDevice
+from handover_marl.simulation.warp_device import WarpDevice
 from handover_marl.simulation.world import WorldState
 
 #: Link number of meshes whose vertices are in the world frame.
@@ -170,7 +170,7 @@ class WarpCamera:
         self._hand_link = 0
         self._bank: MeshBank | None = None
 
-    def reset(self, row: int, assets: SceneAssets) -> None:
+    def load_scene(self, row: int, assets: SceneAssets) -> None:
         """Load the models of the scene of the world with number `row`.
 
         Raises:

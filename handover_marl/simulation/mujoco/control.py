@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.config import OBJECT_DOF
-from handover_marl.simulation.mujoco.batches.simulation import HandKinematics, WorldData
+from handover_marl.simulation.mujoco.batch_simulation import HandKinematics, WorldData
 from handover_marl.simulation.mujoco.engine import XYZW, wxyz_from_euler
 from handover_marl.simulation.mujoco.sleep import RobotOnlySimulation
 from handover_marl.simulation.reference_tracking import BodyTrajectory

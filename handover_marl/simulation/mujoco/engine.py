@@ -8,8 +8,7 @@ from mujoco.batch import Batch
 from handover_marl.errors import SimulationError
 from handover_marl.execution.options import is_pybullet_installed
 from handover_marl.geometry.arrays import AnyArray, get_namespace, is_tensor
-from handover_marl.geometry.poses import find_nearest_euler, quaternions_from_euler
-from handover_marl.geometry.rotations import euler_from_quaternions
+from handover_marl.geometry.rotations import euler_from_quaternions, find_nearest_euler, quaternions_from_euler
 
 
 def configure_engine() -> None:

@@ -20,7 +20,8 @@ from handover_marl.errors import SimulationError
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.model_files.urdf import read_urdf_links
 from handover_marl.geometry.panda import FINGER_LINKS, GRIPPER_FROM_HAND, HAND_LINK, OPEN, PAD_DISTANCE
-from handover_marl.geometry.poses import compute_rotation_angles, quaternion_from_matrix, transform_points
+from handover_marl.geometry.poses import transform_points
+from handover_marl.geometry.rotations import compute_rotation_angles, quaternions_from_matrices
 from handover_marl.simulation.grasp_validation import GraspValidationConfig
 from handover_marl.simulation.mujoco.contacts import ContactSensors, add_contact_sensors
 from handover_marl.simulation.mujoco.engine import XYZW, wxyz_from_xyzw
@@ -71,7 +72,7 @@ class GripperModelBuilder(SceneModelBuilder):
             parts = parts_by_link.get(number, [])
             body = hand
             if is_finger:
-                rotation = wxyz_from_xyzw(quaternion_from_matrix(joint.rotation))
+                rotation = wxyz_from_xyzw(quaternions_from_matrices(joint.rotation))
                 body = hand.add_body(name=name, pos=joint.offset, quat=rotation)
                 self._add_robot_joint(body, tree, number, link)
                 set_inertia(body, link, parts)
@@ -182,7 +183,8 @@ class GraspValidator:
     def _set_hand_before(self, grasp: Array, distance: float) -> None:
         """Set the Panda hand to a grasp pose (4, 4), moved back by a distance (m) along the approach direction."""
         self._data.mocap_pos[self._hand] = grasp[:3, 3] - distance * grasp[:3, 2]
-        self._data.mocap_quat[self._hand] = wxyz_from_xyzw(quaternion_from_matrix(grasp[:3, :3] @ _GRIPPER_FROM_HAND))
+        rotation = quaternions_from_matrices(grasp[:3, :3] @ _GRIPPER_FROM_HAND)
+        self._data.mocap_quat[self._hand] = wxyz_from_xyzw(rotation)
 
     def _has_contact(self) -> bool:
         """Return whether Panda hand and object touch in their current poses."""

@@ -119,7 +119,7 @@ class RobotOnlySimulation:
 
 
 class SleepState:
-    """Trajectories of robot and objects in a sleeping MuJoCo world.
+    """Separate trajectories of robot and objects in a MuJoCo world that sleeps: no body is near the robot.
 
     Row k is step k of the current reference motion; row -1 is the state before its first step.
 

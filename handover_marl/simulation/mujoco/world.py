@@ -9,7 +9,7 @@ from handover_marl.config import PhysicsConfig, ProtocolConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.errors import OptionError, ResetNeededError
 from handover_marl.geometry.kinematic_tree import read_tree
-from handover_marl.simulation.mujoco.batches.simulation import BatchSimulation, HandKinematics, WorldData
+from handover_marl.simulation.mujoco.batch_simulation import BatchSimulation, HandKinematics, WorldData
 from handover_marl.simulation.mujoco.control import ABSENT, compute_controls, count_hand_free_steps, place_hand
 from handover_marl.simulation.mujoco.engine import bullet_xyzw_from_wxyz, chain_joints_from_poses
 from handover_marl.simulation.mujoco.models.scene_model import load_scene_model
@@ -330,7 +330,7 @@ class MujocoWorld(RolloutWorld):
             self._is_state_set = True
 
     def _get_hand_joints(self) -> Array | None:
-        """Return the current joint positions (51,) of the human hand (m, rad), or None without a hand."""
+        """Return the current joint positions (51,) of the human hand (m, rad), or None if there is no hand."""
         track_worlds([self])
         return self.hand.get_joints(self.row) if self.hand.is_present_after(self.row) else None
 

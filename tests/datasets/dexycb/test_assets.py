@@ -26,7 +26,7 @@ from handover_marl.geometry.model_files.urdf import list_mesh_references
 from handover_marl.geometry.ycb import CLASS_NAMES
 from tests.datasets.dexycb.raw_files import all_files
 from tests.execution.test_archives import tar
-from tests.fake_layout import FakeScene, write_layout
+from tests.helpers.fake_layout import FakeScene, write_layout
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from handover_marl.geometry.arrays import to_numpy
-from tests.fake_device import DeviceTensor
+from tests.helpers.fake_device import DeviceTensor
 
 
 def assert_same(found: Any, expected: Any, is_on_device: bool = True) -> None:

@@ -14,7 +14,7 @@ def emulated_gpu(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     import warp
 
     from handover_marl.simulation.mujoco.batches import warp_model
-    from tests.fake_device import DeviceTensor, FakeDevice
+    from tests.helpers.fake_device import DeviceTensor, FakeDevice
 
     scoped_device, to_torch, from_torch = warp.ScopedDevice, warp.to_torch, warp.from_torch
 

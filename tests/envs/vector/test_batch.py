@@ -15,7 +15,7 @@ from handover_marl.envs.vector.vector_env import HandoverVectorEnv
 from handover_marl.errors import ActionError
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, make_tensor_factory
 from tests.envs.vector.comparison import assert_same
-from tests.fake_device import DeviceTensor, FakeDevice, torch
+from tests.helpers.fake_device import DeviceTensor, FakeDevice, torch
 
 COUNT = 5
 ACTIONS = spaces.Box(-np.ones(2, np.float32), np.ones(2, np.float32))

@@ -29,7 +29,7 @@ from handover_marl.simulation.reference_tracking import ReferenceMotion
 from handover_marl.simulation.world import Contacts, JudgeFunction, RolloutContacts, RolloutEnd, WorldState
 from handover_marl.simulation.worlds import Worlds
 from tests.envs.vector.comparison import assert_same
-from tests.fake_device import DEVICE, DeviceTensor, FakeDevice
+from tests.helpers.fake_device import DEVICE, DeviceTensor, FakeDevice
 from tests.learning.custom import move_first_joint, offset_to_object
 
 COUNT = 4

@@ -11,7 +11,7 @@ import torch
 
 import handover_marl
 from handover_marl.geometry.arrays import to_numpy
-from tests.fake_device import DEVICE, DeviceTensor
+from tests.helpers.fake_device import DEVICE, DeviceTensor
 
 # As many environments as there are worlds in the tests of MuJoCo Warp, so that they share kernels.
 COUNT = 3

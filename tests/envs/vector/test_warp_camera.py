@@ -17,7 +17,7 @@ from handover_marl.errors import OptionError
 from handover_marl.geometry.arrays import to_numpy
 from handover_marl.learning.custom_encodings import declare_size
 from tests.envs.vector.test_warp import COUNT, OPTIONS
-from tests.fake_device import DEVICE, DeviceTensor
+from tests.helpers.fake_device import DEVICE, DeviceTensor
 
 #: Vector environments whose receivers are controlled from outside.
 RECEIVERS: dict[str, Any] = {**OPTIONS, "agent": "receiver", "partner": "replay"}

@@ -28,9 +28,9 @@ from handover_marl.geometry.kinematic_tree import compute_link_trajectory
 from handover_marl.geometry.panda import ROBOTS
 from handover_marl.receivers import make
 from handover_marl.simulation.bullet.kinematics import BulletDistanceQuery
-from handover_marl.simulation.clearance import ClearanceMonitor, DistanceQuery
+from handover_marl.simulation.distance_queries import ClearanceMonitor, DistanceQuery
 from handover_marl.simulation.world import AgentJoints, Contacts
-from tests.playing import play
+from tests.helpers.playing import play
 
 PERIOD = SAMPLE_STEPS * TIME_STEP
 N = 251  # samples in 5 s, including the one at the start
@@ -295,7 +295,7 @@ def test_no_time_is_missed_by_the_bounds(engine: str) -> None:
 
 def make_distance_queries(panda: Path) -> dict[str, DistanceQuery]:
     pytest.importorskip("mujoco")
-    from handover_marl.simulation.mujoco.distances import MujocoDistanceQuery
+    from handover_marl.simulation.mujoco.distance_query import MujocoDistanceQuery
 
     config = OFFICIAL_CONFIG.physics.panda
     return {"bullet": BulletDistanceQuery(panda, config), "mujoco": MujocoDistanceQuery(panda, config)}

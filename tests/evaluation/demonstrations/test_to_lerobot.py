@@ -19,7 +19,7 @@ from handover_marl.evaluation.demonstrations.convert import (
 )
 from handover_marl.evaluation.demonstrations.demonstration import Demonstration
 from tests.evaluation.demonstrations.recording import SCENES, record
-from tests.lerobot import prepare_lerobot
+from tests.helpers.lerobot import prepare_lerobot
 
 FPS = 10
 NAME = "local/handovers"

@@ -6,11 +6,11 @@ import scipy.stats
 
 from handover_marl.evaluation.reports.tables import compute_wilson_interval
 from handover_marl.evaluation.strangers.scores import (
-    compute_largest,
+    compute_max_over_partners,
     compute_mean,
+    compute_min_over_partners,
     compute_proximities,
     compute_proximity,
-    compute_worst,
     compute_worst_proximity,
     estimate,
     estimate_difference,
@@ -54,17 +54,17 @@ def test_references_vary_with_the_scenes() -> None:
 
 def test_the_worst_partner_is_that_of_the_mean_over_policies_and_scenes() -> None:
     scores = np.array([[[1.0, 0.2], [0.0, 0.2]], [[0.6, 1.0], [0.6, 0.8]]])
-    assert estimate(compute_worst, scores, None).mean == pytest.approx(0.4)
-    assert estimate_rate(compute_worst, scores, None).mean == pytest.approx(0.4)
-    assert estimate_difference(compute_worst, scores, scores[:1], None).mean == pytest.approx(0.4 - 0.1)
-    assert estimate(compute_largest, scores, None).mean == pytest.approx(0.7)
+    assert estimate(compute_min_over_partners, scores, None).mean == pytest.approx(0.4)
+    assert estimate_rate(compute_min_over_partners, scores, None).mean == pytest.approx(0.4)
+    assert estimate_difference(compute_min_over_partners, scores, scores[:1], None).mean == pytest.approx(0.4 - 0.1)
+    assert estimate(compute_max_over_partners, scores, None).mean == pytest.approx(0.7)
     assert estimate(compute_worst_proximity, scores, None, np.full((2, 2), 0.8)).mean == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize("count", [0, 12])
 def test_rates_with_a_single_partner_have_wilson_intervals_of_its_episodes(count: int) -> None:
     flags = np.full((1, 18, 12), count / 12)
-    found = estimate_rate(compute_worst, flags, None)
+    found = estimate_rate(compute_min_over_partners, flags, None)
     assert found.interval_95 == pytest.approx(compute_wilson_interval(count, 12), abs=1e-12)
     found = estimate_rate(compute_mean, flags, ["a"] * 9 + ["b"] * 9)
     assert found.interval_95 == pytest.approx(compute_wilson_interval(count * 18, 216), abs=1e-12)

@@ -5,14 +5,14 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from handover_marl.planning.clearance import Spheres, compute_grasp_clearances
-from handover_marl.receivers.reactive.grasp_contact import compute_pad_margins, sample_surface_points
+from handover_marl.planning.robot_clearance import Spheres, compute_grasp_clearances
+from handover_marl.receivers.reactive.grasp_contact import collect_surface_points, compute_pad_margins
 from handover_marl.receivers.reactive.grasps import OFFSET_HAND_CLEARANCE, ValidatedGrasps, perturb_grasps
 
 TIP = 0.1126  # distance of the fingertips from the hand's frame (m)
 HALVES = np.array([0.05, 0.02, 0.05])
 BOX = trimesh.creation.box(extents=2.0 * HALVES)
-POINTS = sample_surface_points(np.array(BOX.vertices), np.array(BOX.faces), 4000)
+POINTS = collect_surface_points(np.array(BOX.vertices), np.array(BOX.faces), 4000)
 FAR = Spheres(np.array([[1.0, 0.0, 0.0]]), np.array([0.01]))
 
 

@@ -9,7 +9,7 @@ from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import EpisodeCallback, run_episode
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.poses import transform_points
-from handover_marl.planning.clearance import Spheres, compute_grasp_clearances
+from handover_marl.planning.robot_clearance import Spheres, compute_grasp_clearances
 from handover_marl.policies.policy import make_policy_context
 from handover_marl.receivers.reactive.config import ReactiveConfig, apply_risk
 from handover_marl.receivers.reactive.controller import ReactivePhase

@@ -5,9 +5,10 @@ import pytest
 
 from handover_marl.config import ProtocolConfig
 from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
-from handover_marl.geometry.poses import compose, rotate_points
+from handover_marl.geometry.poses import compose
+from handover_marl.geometry.rotations import rotate_points
 from handover_marl.planning.arm_control import ArmInWorld, ArmServo
-from handover_marl.planning.clearance import Spheres, compute_grasp_clearances
+from handover_marl.planning.robot_clearance import Spheres, compute_grasp_clearances
 from handover_marl.receivers.reactive.config import ReactiveConfig, RetreatConfig
 from handover_marl.receivers.reactive.retreat import DESIRED_CLEARANCE, RetreatController
 from handover_marl.receivers.reactive.selector import HOME

@@ -6,7 +6,8 @@ import pytest
 from handover_marl.config import PandaConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
-from handover_marl.geometry.poses import compose, compute_rotation_angles, invert_pose
+from handover_marl.geometry.poses import compose, invert_pose
+from handover_marl.geometry.rotations import compute_rotation_angles
 from handover_marl.simulation.bullet.kinematics import BulletIKSolver, BulletIKStep
 
 DATA = SyntheticDataset()

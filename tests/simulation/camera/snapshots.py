@@ -9,7 +9,7 @@ from handover_marl.datasets.dataset import Scene
 from handover_marl.geometry.arrays import ArrayFactory
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import HAND_LINK, LOWER_LIMITS, UPPER_LIMITS
-from handover_marl.geometry.poses import quaternions_from_euler
+from handover_marl.geometry.rotations import quaternions_from_euler
 from handover_marl.simulation.camera.images import JointSnapshot
 from handover_marl.simulation.camera.optics import CAMERA_POSITION_IN_HAND, HAND_FROM_CAMERA
 from handover_marl.simulation.world import WorldState

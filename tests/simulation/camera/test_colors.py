@@ -91,7 +91,7 @@ def test_renderers_draw_the_same_colours(request: pytest.FixtureRequest, tmp_pat
             RayCamera(scene.assets, CONFIG),
             WarpCamera(CONFIG, 1, TENSORS),
         )
-        device.reset(0, scene.assets)
+        device.load_scene(0, scene.assets)
         for _ in range(4):
             now = draw_snapshot(scene, CONFIG, rng)
             drawn = bullet.render_wrist_camera(now, color=True)

@@ -47,7 +47,7 @@ def load_scenes(request: pytest.FixtureRequest, data: str) -> list[Scene]:
 def make_cameras(scenes: list[Scene], config: PhysicsConfig = CONFIG) -> tuple[WarpCamera, list[RayCamera]]:
     camera = WarpCamera(config, len(scenes), TENSORS)
     for row, scene in enumerate(scenes):
-        camera.reset(row, scene.assets)
+        camera.load_scene(row, scene.assets)
     return camera, [RayCamera(scene.assets, config) for scene in scenes]
 
 
@@ -97,7 +97,7 @@ def test_worlds_change_their_scenes(request: pytest.FixtureRequest) -> None:
     camera, singles = make_cameras(scenes)
     assert camera._bank is not None
     n_meshes = len(camera._bank._meshes)
-    camera.reset(0, scenes[1].assets)
+    camera.load_scene(0, scenes[1].assets)
     assert len(camera._bank._meshes) == n_meshes
     now = draw_snapshot(scenes[1], CONFIG, rng, nearest=0.3)
     # A target around the camera shows back faces only, which are invisible.
@@ -108,7 +108,7 @@ def test_worlds_change_their_scenes(request: pytest.FixtureRequest) -> None:
     assert not (images.segmentation[0] == TARGET).any()
 
     with pytest.raises(OptionError, match="all robots must have the same joints with backend='warp'"):
-        camera.reset(0, replace(scenes[0].assets, panda=scenes[0].assets.hand))
+        camera.load_scene(0, replace(scenes[0].assets, panda=scenes[0].assets.hand))
 
 
 # ------------------------------------------------------------------------------------------------------ subsampling

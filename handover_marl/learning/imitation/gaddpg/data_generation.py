@@ -181,7 +181,7 @@ class DataGenerator:
             ]
             for (rollout, _), step in zip(observed, self._compute_steps(observed, policy, number), strict=True):
                 rollout.memory.remaining -= 1
-                rollout.joints = self._arm.move(rollout.joints, step)
+                rollout.joints = self._arm.compute_next_joints(rollout.joints, step)
                 is_caged = rollout.memory.is_object_caged(self._base_from_hand(rollout))
                 rollout.is_over = rollout.memory.remaining == 0 or is_caged
         return stack_states(states)

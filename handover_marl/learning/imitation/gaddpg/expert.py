@@ -18,9 +18,9 @@ from handover_marl.geometry.poses import compose, invert_pose
 from handover_marl.learning.imitation.gaddpg.scenarios import ImitationScenario
 from handover_marl.learning.networks.approach_field import compute_approach_steps
 from handover_marl.planning.arm_control import ArmInWorld
-from handover_marl.planning.clearance import Spheres, compute_grasp_clearances, compute_gripper_corners
 from handover_marl.planning.ik_solvers import make_ik_stepper
 from handover_marl.planning.planner import OBJECT_PADDING, Planner, PlannerConfig
+from handover_marl.planning.robot_clearance import Spheres, compute_grasp_clearances, compute_gripper_corners
 from handover_marl.planning.trajectory_cost import Obstacle
 from handover_marl.policies.policy import PolicyContext
 from handover_marl.receivers.reactive.config import ReactiveConfig
@@ -83,7 +83,7 @@ class KinematicArm:
         self.arm = ArmInWorld.for_panda(context.panda_urdf, context.panda)
         self._stepper = make_ik_stepper(context.panda_urdf, context.panda)
 
-    def move(self, joints: Array, step: Array) -> Array:
+    def compute_next_joints(self, joints: Array, step: Array) -> Array:
         """Return the arm joints (7,) in rad 0.15 s after a decision that commands a motion of the Panda's hand link.
 
         Args:
@@ -97,11 +97,11 @@ class KinematicArm:
 
 
 class ExpertPlan(NamedTuple):
-    """Plan of the expert in a scenario: goal grasps, none if none is reachable, and a trajectory to one of them.
+    """Plan of the expert: goal grasps (none if none is reachable) and a trajectory to the first one.
 
     Attributes:
         goals: (g, 7) world poses of the hand link, quaternions xyzw, the planner's goal first.
-        costs: (g,) costs of the goals without the motion to them, relative to the cheapest goal (m).
+        costs: (g,) costs of the goals minus the smallest cost (m); distances from the present pose do not count.
         trajectory: (w, 7) arm joints at the waypoints of the planned motion to the first goal (rad).
     """
 
@@ -110,7 +110,7 @@ class ExpertPlan(NamedTuple):
     trajectory: Array
 
     def choose_goal(self, hand: Array) -> Array:
-        """Return the goal (7,) that is cheapest to reach from a present world pose (7,) of the hand link."""
+        """Return the goal (7,) that is cheapest to reach from a world pose (7,), quaternion xyzw, of the hand link."""
         costs = self.costs + compute_grasp_distances(hand, self.goals, _ROTATION_COST, PAD_DISTANCE)
         costs[0] -= _SWITCH_MARGIN
         chosen: Array = self.goals[int(np.argmin(costs))]
@@ -155,7 +155,7 @@ class GraspExpert:
         return ExpertPlan(goals[order], costs[order] - costs.min(), plan.trajectory)
 
     def find_goals(self, object_name: str, object_pose: Array, joints: Array, occluder: Array) -> tuple[Array, Array]:
-        """Return at most four reachable grasps of lowest cost, and their costs without the motion to them.
+        """Return at most four reachable grasps of lowest cost, and their costs.
 
         Args:
             object_name: Class name of the object.
@@ -164,7 +164,8 @@ class GraspExpert:
             occluder: (4,) world center and radius of the occluding sphere (m); radius 0 for none.
 
         Returns:
-            (g, 7) world poses of the hand link and (g,) costs (m), in ascending order of the cost with the motion.
+            (g, 7) world poses of the hand link, cheapest first if the distance from the present pose counts, and (g,)
+            costs (m) that exclude this distance.
         """
         poses, hold_costs = load_costed_grasps(self._context, object_name)
         if not len(poses):
@@ -216,7 +217,7 @@ class GraspExpert:
             if self._compute_miss(path[-1], goal) < _TOLERANCE:
                 break
             hand = self._arm.arm.compute_hand_pose(path[-1])
-            path.append(self._arm.move(path[-1], self.compute_step(hand, goal, remaining)))
+            path.append(self._arm.compute_next_joints(path[-1], self.compute_step(hand, goal, remaining)))
         return path
 
     def _compute_miss(self, joints: Array, goal: Array) -> float:
@@ -247,7 +248,7 @@ def load_costed_grasps(context: PolicyContext, object_name: str) -> tuple[Array,
 
 
 def compute_grasp_costs(world: Array, hand: Array, occluder: Array) -> Array:
-    """Return the costs (n,) in m of moving the hand link to n grasps, plus those of low clearance there.
+    """Return the costs (n,) in m of moving the hand link to n grasps, higher near the occluder or the table.
 
     Args:
         world: (n, 7) world poses of the hand link at the grasps, quaternions xyzw.

@@ -13,7 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.config import ARM_DOF, PandaConfig
 from handover_marl.datasets import Dataset
-from handover_marl.geometry.poses import inverse_transform_points, quaternions_from_euler
+from handover_marl.geometry.poses import inverse_transform_points
+from handover_marl.geometry.rotations import quaternions_from_euler
 from handover_marl.planning.arm_control import ArmInWorld
 
 Array = npt.NDArray[np.float64]
@@ -64,7 +65,7 @@ class ImitationScenario:
 
 
 class ImitationScenarios:
-    """Generator of random scenarios, each determined by the seed and its number.
+    """Sampler of random initial states (object, arm, occluding sphere) of imitation rollouts: `ImitationScenario`s.
 
     Args:
         data: Dataset of the scenes.
@@ -80,7 +81,7 @@ class ImitationScenarios:
         self._base = np.array(panda.base_position)
 
     def sample(self, number: int) -> ImitationScenario:
-        """Return the random scenario that the seed of the generator and a number determine."""
+        """Return a random scenario; it depends only on the seed of the sampler and on `number`."""
         rng = np.random.default_rng((self._seed, number))
         scene = self._data.load_scene(self._scenes[int(rng.integers(len(self._scenes)))])
         dof = self._sample_object_pose(scene.object_dof[:, 0], rng)

@@ -20,17 +20,12 @@ from handover_marl.datasets import open_dataset
 from handover_marl.datasets.dataset import Scene
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import OPEN, WAITING_JOINTS
-from handover_marl.geometry.poses import (
-    compose,
-    inverse_transform_points,
-    invert_pose,
-    quaternions_from_euler,
-    transform_points,
-)
+from handover_marl.geometry.poses import compose, inverse_transform_points, invert_pose, transform_points
+from handover_marl.geometry.rotations import quaternions_from_euler
 from handover_marl.learning.imitation.samples import generate_samples, join_samples, stack_samples
 from handover_marl.planning.arm_control import ArmInWorld
-from handover_marl.planning.clearance import Spheres, compute_grasp_clearances
 from handover_marl.planning.hand_tracker import HandTracker
+from handover_marl.planning.robot_clearance import Spheres, compute_grasp_clearances
 from handover_marl.policies.policy import make_policy_context
 from handover_marl.receivers.reactive.config import ReactiveConfig
 from handover_marl.receivers.reactive.controller import LIMIT_PADDING
@@ -220,11 +215,12 @@ class ViewRenderer:
         return Grasps(poses, costs, found.center)
 
     def compute_qualities(self, grasps: Grasps, hand: Spheres | None, object_pose: Array) -> Array:
-        """Return the qualities (n,), from 0 (bad) to 1 (good), of an object's grasps next to a person's hand.
+        """Return the qualities (n,) of an object's grasps: exp(-cost / 3 s), from 0 (bad) to 1 (good).
 
         Args:
             grasps: Grasps of the object.
-            hand: Spheres that cover the person's hand in the world, or None without a hand.
+            hand: Spheres that cover the person's hand in the world; None if there is no hand. Qualities are lower for
+                grasps with little clearance to it, and 0 for those with less than 3 mm.
             object_pose: (7,) pose of the object in the world, quaternion xyzw.
         """
         config, costs = self._config.reactive, grasps.costs
@@ -347,7 +343,7 @@ def read_object_pose(scene: Scene, frame: int) -> Array:
 
 
 def read_hand_spheres(scene: Scene, frame: int) -> Spheres | None:
-    """Return spheres in the world that cover the recorded hand in a frame; None without a hand.
+    """Return spheres in the world that cover the recorded hand in a frame; None if there is no hand.
 
     Raises:
         SimulationError: The model of the hand cannot be read.

@@ -1,1 +1,1 @@
-"""Batches of MuJoCo worlds: on processor threads with MuJoCo, or on a GPU with MuJoCo Warp."""
+"""Batches of MuJoCo worlds on a GPU, or on the CPU as a device, by MuJoCo Warp."""

@@ -17,7 +17,7 @@ from handover_marl.geometry.arrays import AnyArray, ArrayFactory, to_numpy
 from handover_marl.simulation.mujoco.batches.warp_model import WarpModel
 from handover_marl.simulation.mujoco.engine import wxyz_from_euler
 from handover_marl.simulation.mujoco.models.scene_model import SceneModel
-from handover_marl.simulation.tensor_state import WarpDevice
+from handover_marl.simulation.warp_device import WarpDevice
 from handover_marl.simulation.world import Contacts, RolloutContacts
 
 # Memory for contacts and constraints of each world. Contacts are shared by all worlds of a group.
@@ -73,16 +73,17 @@ class WarpRollout:
 
 
 class WarpGroup:
-    """Worlds whose models have one layout; its tensors have a row for each of n worlds, in this group or not.
+    """Worlds that MuJoCo Warp steps together, because their models have the same layout (shapes and constants).
+
+    Tensors have n rows, one for each world of the batch; rows of worlds in other groups are unused.
 
     Args:
-        scene: Padded scene model with the layout of the group.
-        count: Number n of worlds.
+        scene: First scene of the group, padded to its layout with absent objects and hulls (`load_padded_model`).
+        count: Number n of worlds in the batch, in all groups.
         config: Constants of the worlds.
         arrays: Creator of tensors on the device.
 
     Attributes:
-        scene: Padded scene model with the layout of the group.
         state: Joint positions, velocities, warm starts and sensor data (n, ...) by MuJoCo's names.
         released: Whether the target object of each world is released, (n,).
     """

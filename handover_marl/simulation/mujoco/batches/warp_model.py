@@ -133,7 +133,7 @@ def is_device_available(device: str) -> bool:
 
 
 def load_padded_model(assets: SceneAssets, config: PhysicsConfig) -> SceneModel:
-    """Compile the model of a scene, filled up to a layout that it shares with other scenes.
+    """Compile the model of a scene; absent objects and hulls pad it to a layout that it shares with other scenes.
 
     Raises:
         OptionError: An object has collision shapes besides convex hulls.

@@ -11,7 +11,7 @@ from handover_marl.datasets.dataset import Scene
 from handover_marl.errors import ResetNeededError, SimulationError
 from handover_marl.geometry.arrays import AnyArray, ArrayFactory, expand_mask, make_constant, to_numpy
 from handover_marl.geometry.kinematic_tree import TreeBank, read_tree
-from handover_marl.geometry.poses import quaternion_from_matrix, quaternions_from_euler
+from handover_marl.geometry.rotations import quaternions_from_euler, quaternions_from_matrices
 from handover_marl.simulation.mujoco.batches.warp_group import StepControls, WarpGroup
 from handover_marl.simulation.mujoco.batches.warp_model import compute_layout, load_padded_model
 from handover_marl.simulation.mujoco.control import ABSENT
@@ -99,7 +99,7 @@ class DeviceHands:
         `joints` (r, k, 51) are their joint positions (m, rad), `links` (l,) the numbers of the links.
         """
         origins, rotations = self._trees.compute_link_frames(self._hands[rows], joints)
-        return origins[..., links, :], quaternion_from_matrix(rotations[..., links, :, :])
+        return origins[..., links, :], quaternions_from_matrices(rotations[..., links, :, :])
 
     def compute_keypoints(self, rows: AnyArray) -> AnyArray:
         """Compute the world positions (r, 16, 3) in m of the wrist and the finger joints of the hands `rows` (r,)."""

@@ -35,7 +35,7 @@ class ConvexPart:
         kind: Type of the part: "hull", "box" or "sphere".
         vertices: Vertices (v, 3) of a hull in the part's frame (m); (0, 3) for a box or sphere.
         size: Side lengths of a box (m), radius of a sphere (m), empty for a hull.
-        link_from_part: Pose (7,) of the part in the link's frame.
+        link_from_part: Pose (7,) (quaternion xyzw) of the part in the link's frame.
     """
 
     kind: str

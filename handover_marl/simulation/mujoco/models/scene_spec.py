@@ -11,7 +11,8 @@ from handover_marl.config import OBJECT_DOF, TIME_STEP, MotorConfig, PhysicsConf
 from handover_marl.geometry.kinematic_tree import KinematicTree, read_tree
 from handover_marl.geometry.model_files.urdf import UrdfLink, read_urdf_links, read_urdf_shapes
 from handover_marl.geometry.panda import CAMERA_LINK, FINGER_LINKS, HAND_LINK
-from handover_marl.geometry.poses import IDENTITY, quaternion_from_matrix
+from handover_marl.geometry.poses import IDENTITY
+from handover_marl.geometry.rotations import quaternions_from_matrices
 from handover_marl.simulation.mujoco.contacts import add_contact_sensors
 from handover_marl.simulation.mujoco.engine import wxyz_from_xyzw
 from handover_marl.simulation.mujoco.models.collision_shapes import (
@@ -182,7 +183,7 @@ class SceneModelBuilder:
         base = self.spec.worldbody.add_body(name=ROBOT_BASE, pos=panda.base_position, quat=orientation)
         bodies = {-1: base}
         for number, joint in enumerate(tree.joints):
-            rotation = wxyz_from_xyzw(quaternion_from_matrix(joint.rotation))
+            rotation = wxyz_from_xyzw(quaternions_from_matrices(joint.rotation))
             bodies[number] = bodies[joint.parent].add_body(name=joint.link, pos=joint.offset, quat=rotation)
             if joint.parent < 0:
                 # MuJoCo excludes collisions of parent and child only if the parent moves.

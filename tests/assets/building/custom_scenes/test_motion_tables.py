@@ -11,7 +11,7 @@ from handover_marl.assets.hand_model import make_hand_geometry
 from handover_marl.config import TABLE_HEIGHT
 from handover_marl.errors import DataFormatError, HandoverError
 from handover_marl.geometry.poses import compose, invert_pose
-from tests.custom_scenes import make_recording, write_csv
+from tests.helpers.custom_scenes import make_recording, write_csv
 
 ALL = slice(None)
 

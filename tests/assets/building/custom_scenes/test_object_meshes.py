@@ -11,7 +11,7 @@ import trimesh
 from handover_marl.assets.building.custom_scenes import CustomSceneFolder, MeshConfig
 from handover_marl.assets.building.custom_scenes.object_meshes import make_object_mesh
 from handover_marl.errors import DataFormatError
-from tests.custom_scenes import make_box
+from tests.helpers.custom_scenes import make_box
 
 ROUGH: dict[str, Any] = {"concavity": 1.0}
 BOX = make_box()

@@ -7,8 +7,8 @@ import numpy as np
 
 from handover_marl.config import PandaConfig, PhysicsConfig
 from handover_marl.geometry.kinematic_tree import BoundingSphere, read_tree
-from handover_marl.simulation.clearance import DistanceQuery
-from handover_marl.simulation.mujoco.batches.simulation import HandKinematics
+from handover_marl.simulation.distance_queries import DistanceQuery
+from handover_marl.simulation.mujoco.batch_simulation import HandKinematics
 from handover_marl.simulation.mujoco.models.collision_shapes import compute_bounding_spheres
 from handover_marl.simulation.mujoco.models.scene_spec import SceneModelBuilder
 

@@ -1,6 +1,6 @@
 """Check that no package has more lines of Python than its budget, the last column of the table in CONTRIBUTING.md.
 
-python -m tests.line_budgets
+python .ci/line_budgets.py
 """
 
 import re

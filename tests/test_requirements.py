@@ -4,7 +4,7 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from tests.setup_file import ROOT, list_supported, read_setup
+from tests.helpers.setup_file import ROOT, list_supported, read_setup
 
 #: Packages of physics engines that the library needs, by version of Python.
 ENGINES = {

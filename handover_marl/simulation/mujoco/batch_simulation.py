@@ -12,7 +12,7 @@ import numpy.typing as npt
 from mujoco.batch import Batch
 
 from handover_marl.geometry.kinematic_tree import read_tree
-from handover_marl.geometry.poses import quaternion_from_matrix
+from handover_marl.geometry.rotations import quaternions_from_matrices
 from handover_marl.simulation.mujoco.engine import check_warnings, configure_engine, wxyz_from_xyzw
 from handover_marl.simulation.mujoco.models.scene_model import RobotOnlyModel, SceneModel, select_variant
 from handover_marl.simulation.mujoco.sleep import RobotOnlySimulation
@@ -37,7 +37,6 @@ class WorldData:
             batch: each rollout starts with setting its state.
 
     Attributes:
-        scene: Model of the scene.
         batch: Batch of MuJoCo that simulates the world.
         released: Whether the human has released the target object.
         qpos: Writable view of the joint positions (q,), like the following arrays.
@@ -98,7 +97,7 @@ class WorldData:
         check_warnings(batch)
 
     def set_step(self, controls: Array, sensordata: Array, step_state: Array) -> None:
-        """Set the state to that after a step that `simulate` has simulated.
+        """Set the state to that after one of the steps that `simulate` has computed, from what it wrote for this step.
 
         Args:
             controls: Controls (c,) of the step.
@@ -165,7 +164,7 @@ def _compile_tree(urdf: Path, mtime: int) -> "mujoco.MjModel":
     bodies = {-1: spec.worldbody.add_body()}
     # Links are numbered depth first, like MuJoCo's bodies.
     for number, joint in enumerate(tree.joints):
-        rotation = wxyz_from_xyzw(quaternion_from_matrix(joint.rotation))
+        rotation = wxyz_from_xyzw(quaternions_from_matrices(joint.rotation))
         body = bodies[number] = bodies[joint.parent].add_body(pos=joint.offset, quat=rotation)
         # MuJoCo refuses moving bodies without mass.
         body.explicitinertial, body.mass, body.inertia = True, 1.0, np.ones(3)

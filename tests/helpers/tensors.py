@@ -12,9 +12,9 @@ from handover_marl.policies.batch import ObserveFunction
 
 @contextlib.contextmanager
 def make_device_tensors() -> Iterator[ArrayFactory]:
-    """Yield the factory of tensors on an emulated GPU, which refuses what a GPU refuses; see `tests.fake_device`."""
+    """Yield the factory of tensors on an emulated GPU, which refuses what a GPU refuses; see `fake_device`."""
     pytest.importorskip("torch")
-    from tests.fake_device import DEVICE, FakeDevice
+    from tests.helpers.fake_device import DEVICE, FakeDevice
 
     with FakeDevice():
         yield make_tensor_factory(DEVICE.type)

@@ -8,7 +8,7 @@ import pytest
 import handover_marl
 from handover_marl.errors import ResetNeededError
 from handover_marl.receivers import Receiver
-from tests.equality import assert_equal
+from tests.helpers.equality import assert_equal
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
 OPTIONS: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "control_period": 0.15, "scenes": (5, 6)}

@@ -70,7 +70,7 @@ class Spheres:
     radii: Array
 
     def transform_to_frame(self, pose: Array) -> "Spheres":
-        """Return the spheres in another frame; `pose` (7,) is the pose of that frame in their present one."""
+        """Return the spheres in another frame, whose pose (7,) in the present frame is given (quaternion xyzw)."""
         return Spheres(inverse_transform_points(pose, self.centers), self.radii)
 
     def select_within(self, position: Array, distance: float) -> "Spheres":
@@ -108,7 +108,7 @@ def sample_surface_spheres(vertices: Array, faces: npt.NDArray[np.int_], count: 
 
 
 def compute_gripper_corners(hands: Array) -> Array:
-    """Return the corners (n, 32, 3) in m of the four boxes that bound the open gripper at hand link poses (n, 7)."""
+    """Return the corners (n, 32, 3) in m of four boxes around the open gripper at hand link poses (n, 7), with xyzw."""
     signs = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
     local = (GRIPPER_BOX_CENTERS[:, None] + signs * GRIPPER_BOX_HALF_SIZES[:, None]).reshape(-1, 3)
     rotations = Rotation.from_quat(hands[:, 3:]).as_matrix()
@@ -116,13 +116,13 @@ def compute_gripper_corners(hands: Array) -> Array:
 
 
 def compute_flange_clearances(hands: Array, spheres: Spheres) -> Array:
-    """Return the clearances (n,) in m of the flange, at hand link poses (n, 7), from a body in the same frame."""
+    """Return signed clearances (n,) in m of the flange from a body; see `compute_open_gripper_clearances`."""
     local = _points_in_hands(hands, spheres.centers) - GRIPPER_BOX_CENTERS[_FLANGE]
     return np.asarray((_box_distances(local, GRIPPER_BOX_HALF_SIZES[_FLANGE]) - spheres.radii).min(axis=1))
 
 
 def compute_open_gripper_clearances(hands: Array, spheres: Spheres) -> Array:
-    """Return the clearances (n,) in m of open gripper and flange at hand poses (n, 7) from a body in the same frame."""
+    """Return clearances (n,) in m, negative on overlap, of a body to open gripper and flange at hand poses (n, 7)."""
     local = _points_in_hands(hands, spheres.centers)
     boxes = zip(GRIPPER_BOX_CENTERS, GRIPPER_BOX_HALF_SIZES, strict=True)
     by_box = [(_box_distances(local - center, half) - spheres.radii).min(axis=1) for center, half in boxes]
@@ -130,7 +130,7 @@ def compute_open_gripper_clearances(hands: Array, spheres: Spheres) -> Array:
 
 
 def compute_grasp_clearances(hands: Array, spheres: Spheres, sweep: float = 0.0, flange: bool = True) -> Array:
-    """Return the clearances (n,) in m of a gripper that closes at hand link poses (n, 7) from a body in the same frame.
+    """Return signed clearances (n,) in m of a closing gripper from a body; see `compute_open_gripper_clearances`.
 
     The volume between the open fingers counts as part of the gripper, and so do the straight approach of length
     `sweep` (m) along the hand link's z axis and, if `flange` is set, the flange behind the hand.
@@ -145,13 +145,13 @@ def compute_grasp_clearances(hands: Array, spheres: Spheres, sweep: float = 0.0,
 
 
 def count_points_between_pads(hands: Array, points: Array) -> npt.NDArray[np.int_]:
-    """Return how many (n,) of the points (k, 3) are between the open gripper's pads at hand link poses (n, 7)."""
+    """Return how many (n,) of the points (k, 3) are between the open pads at hand link poses (n, 7), with xyzw."""
     local = _points_in_hands(hands, points)
     return np.asarray((np.abs(local - _PAD_REGION[0]) < _PAD_REGION[1]).all(axis=-1).sum(axis=1))
 
 
 def find_closest_points(hand: Array, spheres: Spheres) -> ClosestPoints:
-    """Return the closest points of open gripper, at a world pose (7,) of the hand link, and a body in the world."""
+    """Return the closest points of a body and the open gripper at a hand link's world pose (7,), quaternion xyzw."""
     rotation = Rotation.from_quat(hand[3:]).as_matrix()
     local = (spheres.centers - hand[:3]) @ rotation
     offsets = local[None] - GRIPPER_BOX_CENTERS[:, None]
@@ -173,7 +173,7 @@ def find_closest_points(hand: Array, spheres: Spheres) -> ClosestPoints:
 
 
 def compute_arm_clearances(arm: ArmInWorld, joints: Array, spheres: Spheres) -> Array:
-    """Return the clearances (n,) in m of the arm, elbow to wrist, at joints (n, 7) in rad from a body in the world."""
+    """Return signed clearances (n,) in m of elbow to wrist, at arm joints (n, 7) in rad, from a body in the world."""
     starts, ends = _arm_segments(arm, joints)
     points = spheres.centers
     axes = ends - starts

@@ -1,0 +1,27 @@
+"""Products and lengths of vectors, equal to NumPy's to the bit and faster for small arrays."""
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.geometry.arrays import AnyArray, as_arrays, get_namespace, is_tensor, stack_last
+
+
+def compute_dot_products(first: AnyArray, second: AnyArray) -> AnyArray:
+    """Compute the dot products (...) of vectors (..., k), each equal to `np.dot` to the bit."""
+    xp, first, second = as_arrays(first, second)
+    if is_tensor(first):
+        return xp.sum(first * second, axis=-1)
+    return np.asarray(np.vecdot(first, second))
+
+
+def compute_lengths(vectors: AnyArray) -> AnyArray:
+    """Compute the lengths (...) of vectors (..., k), each equal to `np.linalg.norm` to the bit."""
+    return get_namespace(vectors).sqrt(compute_dot_products(vectors, vectors))
+
+
+def compute_cross_products(left: npt.ArrayLike, right: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """Compute the cross products (..., 3) of vectors (..., 3), each equal to `np.cross` to the bit."""
+    a, b = np.asarray(left), np.asarray(right)
+    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
+    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
+    return np.asarray(stack_last([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx]))
