@@ -9,6 +9,7 @@ from handover_marl.cli import main
 from handover_marl.evaluation import episode_runner
 from handover_marl.execution.options import is_installed
 from handover_marl.policies.registry import import_reference
+from tests.evaluation.quick import write_results
 from tests.short_episodes import shorten_episodes
 
 
@@ -58,11 +59,10 @@ def test_ctrl_c(fake_data: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
 
 
 @pytest.mark.slow
-def test_closed_output(fake_data: Path, tmp_path: Path) -> None:
+def test_closed_output(tmp_path: Path) -> None:
     """A reader may close the output of a command before its end."""
     program = "import sys; from handover_marl.cli import main; sys.exit(main())"
-    command = [sys.executable, "-c", program, "pair", "--receiver", "hold", "--scenes", "9", "14"]
-    command += ["--physics", "fast", "--workers", "2", "--data-dir", str(fake_data), "--out", str(tmp_path)]
+    command = [sys.executable, "-c", program, "evaluate", str(write_results(tmp_path / "out"))]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stdout is not None
     process.stdout.close()

@@ -1,5 +1,6 @@
 """Pages of the documentation, and functions that read their code blocks and tables."""
 
+import functools
 from pathlib import Path
 from typing import NamedTuple
 
@@ -70,6 +71,7 @@ def marks(page: Path) -> set[str]:
     return {text.removeprefix(_MARK).removesuffix(" -->") for text in found if text.startswith(_MARK)}
 
 
+@functools.cache
 def _tokens(page: Path) -> list[Token]:
     return MarkdownIt("commonmark").enable("table").parse(page.read_text())
 

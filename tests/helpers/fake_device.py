@@ -4,6 +4,7 @@ Tensors of this device are in the processor's memory. They cannot be converted t
 function takes them together with NumPy arrays or with tensors of the processor, except for numbers.
 """
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -38,29 +39,32 @@ class DeviceTensor(torch.Tensor):
     numpy = __array__
 
 
-def list_arrays(value: Any) -> list[Any]:
+def list_arrays(values: Iterable[Any]) -> list[Any]:
     """Return the tensors and NumPy arrays in arguments of a function; general tools for trees are much slower."""
-    if isinstance(value, (torch.Tensor, np.ndarray)):
-        return [value]
-    if isinstance(value, dict):
-        value = value.values()
-    elif not isinstance(value, (list, tuple)):
-        return []
-    return [array for one in value for array in list_arrays(one)]
+    found: list[Any] = []
+    for value in values:
+        if isinstance(value, (torch.Tensor, np.ndarray)):
+            found.append(value)
+        elif isinstance(value, (list, tuple)):
+            found += list_arrays(value)
+        elif isinstance(value, dict):
+            found += list_arrays(value.values())
+    return found
 
 
 class FakeDevice(TorchFunctionMode):
     """Context in which PyTorch creates and computes tensors of the device."""
 
     def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        options = dict(kwargs or {})
-        arrays = list_arrays(args) + list_arrays(options)
-        is_on_device = any(isinstance(one, DeviceTensor) for one in arrays)
-        is_copied = False
+        options, arrays = {}, list_arrays(args)
+        if kwargs:
+            options, arrays = dict(kwargs), arrays + list_arrays(kwargs.values())
+        others = [one for one in arrays if not isinstance(one, DeviceTensor)]
+        is_on_device, is_copied = len(others) < len(arrays), False
         if options.get("device") is not None:
             is_copied, is_on_device = not is_on_device, torch.device(options["device"]).type == DEVICE.type
             options["device"] = "cpu"
-        elif is_on_device and any(one.ndim for one in arrays if not isinstance(one, DeviceTensor)):
+        elif is_on_device and others and any(one.ndim for one in others):
             raise RuntimeError(f"{func} got arrays of the device and of the processor")
         # The kind of the result is chosen below.
         with torch._C.DisableTorchFunctionSubclass():

@@ -1,14 +1,10 @@
-"""Play shipped policies, also after changing settings of the process, and print a hash of each episode.
-
-`python process_settings.py none|changed STEPS`
-"""
+"""Play shipped policies, and return a hash of each episode; as a program, change settings of the process before."""
 
 import hashlib
 import json
 import locale
 import os
 import random
-import sys
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -20,7 +16,7 @@ from tests.helpers.comma_locale import COMMA
 
 FOLDER = Path(__file__).parent
 LEARNED = FOLDER.parent / "data" / "v0_7_0" / "policies" / "receiver.npz"
-SCENE = 209
+SCENE, STEPS = 209, 120
 #: Physics and receivers, with a giver that each is played with.
 EPISODES = (
     ("exact", "yang2021:wait=0.1", "cooperative"),
@@ -67,8 +63,8 @@ SETTINGS: tuple[Callable[[], object], ...] = (
 )
 
 
-def play(reference: str, giver: str, physics: str, steps: int) -> str:
-    """Play an episode of at most `steps` ms, and return a hash of the actions and the last observation."""
+def play(reference: str, giver: str, physics: str) -> str:
+    """Play an episode of `STEPS` ms, and return a hash of the actions and the last observation."""
     # Imported only here, as by a program that changes settings first.
     from handover_marl import givers, receivers
     from handover_marl.datasets import open_dataset
@@ -84,7 +80,7 @@ def play(reference: str, giver: str, physics: str, steps: int) -> str:
     assert receivers.list_available()
     episode = Episode(physics, wrist_camera=WristCameraConfig("rays" if physics != "exact" else "bullet"))
     episode.reset(dataset.load_scene(SCENE))
-    run_episode(episode, receiver, givers.make(giver, dataset), seed=1, until=steps, callbacks=[recorder])
+    run_episode(episode, receiver, givers.make(giver, dataset), seed=1, until=STEPS, callbacks=[recorder])
     digest = hashlib.sha256(recorder.actions.tobytes())
     for value in episode.observe().values():
         digest.update(value.tobytes())
@@ -103,19 +99,20 @@ def apply(module: torch.nn.Module) -> str:
     return hashlib.sha256(b"".join(one.tobytes() for one in outputs)).hexdigest()[:16]
 
 
-def main(has_settings: bool, steps: int) -> None:
-    torch.manual_seed(3)
+def hash_results(change_settings: bool = False) -> dict[str, str]:
+    """Return the hash of each episode and of a user's module, and check that no global random generator changes."""
     module = torch.nn.Sequential(torch.nn.Linear(30, 50), torch.nn.Tanh(), torch.nn.Linear(50, 4))
-    if has_settings:
+    for number, parameter in enumerate(module.parameters()):
+        torch.nn.init.normal_(parameter, generator=torch.Generator().manual_seed(number))
+    if change_settings:
         for change in SETTINGS:
             change()
     before = read_generators()
-    found = {" ".join(one): play(one[1], one[2], one[0], steps) for one in EPISODES}
+    found = {" ".join(one): play(one[1], one[2], one[0]) for one in EPISODES}
     found["module"] = apply(module)
-    if read_generators() != before:
-        raise SystemExit("a global random generator has changed")
-    print("hashes:", json.dumps(found))
+    assert read_generators() == before, "a global random generator has changed"
+    return found
 
 
 if __name__ == "__main__":
-    main(sys.argv[1] == "changed", int(sys.argv[2]))
+    print("hashes:", json.dumps(hash_results(change_settings=True)))

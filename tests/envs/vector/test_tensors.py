@@ -166,11 +166,8 @@ def test_raw_observations_and_actions(
 def test_features_and_action_schemes(
     request: pytest.FixtureRequest, agent: str | None, options: dict[str, Any]
 ) -> None:
-    # The receiver waits for 2 s: one case simulates as long again, the others have shorter episodes.
-    is_long, lasts = options.get("autoreset") == "next_step", options.get("schemes") == "offer"
-    steps, max_cycles = (12, 14) if is_long else (16, 13)
-    # An offer lasts a whole episode.
-    steps, max_cycles = (2, 12) if lasts else (steps, max_cycles)
+    # The receiver waits for ten cycles; an offer lasts a whole episode. Episodes end, and new ones start.
+    steps, max_cycles = (2, 12) if options.get("schemes") == "offer" else (8 if agent else 16, 13)
     compare(request, steps, agent, {**ENCODED, "max_cycles": max_cycles, **options})
 
 
