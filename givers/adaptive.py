@@ -114,6 +114,6 @@ class AdaptiveGiver(ArrayGiver):
         """Return the best (7,) of many random offers in the episode of an observation (1, ...)."""
         offers = draw_offers(rng, self.config.offers, self.config.spread)
         features = compute_offer_features(observation, offers, self.context)
-        if features is None:
-            return offers[0]
-        return offers[np.argmax(compute_offer_scores(self._network(features)))]
+        scores = np.array([1.0]) if features is None else compute_offer_scores(self._network(features))
+        best: Vectors = offers[int(np.argmax(scores))]
+        return best
