@@ -13,11 +13,11 @@ import numpy.typing as npt
 from handover_marl.geometry.arrays import AnyArray, as_arrays
 from handover_marl.geometry.rotations import (
     conjugate_quaternions,
+    multiply_quaternions,
     quaternions_from_matrices,
     rotate_and_translate,
     rotate_points,
 )
-from handover_marl.geometry.rotations import multiply_quaternions as multiply_quaternions
 
 Array = npt.NDArray[np.float64]
 

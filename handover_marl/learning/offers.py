@@ -9,8 +9,12 @@ import numpy.typing as npt
 
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import AnyArray, get_namespace, widen
-from handover_marl.geometry.poses import compose, inverse_transform_points, invert_pose, multiply_quaternions
-from handover_marl.geometry.rotations import matrices_from_quaternions, quaternions_from_rotation_vectors
+from handover_marl.geometry.poses import compose, inverse_transform_points, invert_pose
+from handover_marl.geometry.rotations import (
+    matrices_from_quaternions,
+    multiply_quaternions,
+    quaternions_from_rotation_vectors,
+)
 from handover_marl.learning.array_features import compute_handover_frames, rotate_to_frame, rotate_to_world
 from handover_marl.learning.giver_schemes import HandoverPoseScheme
 from handover_marl.learning.grasp_selector import (

@@ -10,7 +10,7 @@ from handover_marl.evaluation import episode_runner
 from handover_marl.execution.options import is_installed
 from handover_marl.policies.registry import import_reference
 from tests.evaluation.quick import write_results
-from tests.short_episodes import shorten_episodes
+from tests.helpers.short_episodes import shorten_episodes
 
 
 def test_benchmark_and_evaluate(

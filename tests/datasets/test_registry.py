@@ -19,7 +19,7 @@ from handover_marl.evaluation.reports.report import evaluate
 from handover_marl.evaluation.verification import verify
 from handover_marl.geometry.ycb import CLASS_NAMES
 from handover_marl.policies.policy import make_policy_context
-from tests.short_episodes import shorten_episodes
+from tests.helpers.short_episodes import shorten_episodes
 
 NAME, SCENES = "generated:n=2000,seed=7,procedural=1.0,objects=50", (1248, 1249)
 

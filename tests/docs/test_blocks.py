@@ -25,7 +25,7 @@ from handover_marl.policies.reference import parse_policy, split_policy_list
 from tests.docs.pages import PAGES, REPOSITORY, Block, blocks, inline_commands, name
 from tests.helpers.fake_layout import FakeScene, write_layout
 from tests.helpers.setup_file import read_setup
-from tests.short_episodes import shorten_episodes
+from tests.helpers.short_episodes import shorten_episodes
 
 LANGUAGES = {"python", "bash", "ini", "text", "bibtex", "{include}", "{toctree}", "{eval-rst}"}
 SHELL = [

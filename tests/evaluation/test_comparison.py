@@ -16,7 +16,7 @@ from handover_marl.evaluation.comparison import Agreement
 from handover_marl.evaluation.metadata import ResultMetadata
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.results import EpisodeResult, ResultFolder, encode_result
-from tests.short_episodes import shorten_episodes
+from tests.helpers.short_episodes import shorten_episodes
 
 
 def folder(

@@ -21,7 +21,7 @@ from handover_marl.evaluation.benchmark import select_shard
 from handover_marl.evaluation.results import read_results
 from tests.evaluation.demonstrations.recording import record
 from tests.evaluation.quick import SHORT, QuickReceiver
-from tests.short_episodes import shorten_episodes
+from tests.helpers.short_episodes import shorten_episodes
 
 #: Options of a small split with short episodes, which take little time.
 SPLIT = {"setup": "s0", "split": "val", "dataset": "synthetic", "physics": "fast", "world_config": SHORT}

@@ -3,8 +3,8 @@
 import pytest
 
 from handover_marl.datasets.synthetic import SyntheticDataset
+from tests.helpers.short_episodes import shorten_episodes
 from tests.learning.training.scripts import script
-from tests.short_episodes import shorten_episodes
 
 SCENES = SyntheticDataset().list_scenes("s0", "val")[:1]
 

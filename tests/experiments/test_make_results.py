@@ -19,7 +19,7 @@ from handover_marl.evaluation.metadata import ResultMetadata
 from handover_marl.evaluation.results import EpisodeResult, ResultFolder, encode_result
 from tests.docs.test_results import check_outcome_row, list_outcome_rows
 from tests.evaluation.quick import write_results
-from tests.short_episodes import shorten_episodes
+from tests.helpers.short_episodes import shorten_episodes
 
 
 def make_folder(path: Path, receiver: str, outcomes: Iterator[int], wait: str = "3") -> Path:

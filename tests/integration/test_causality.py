@@ -72,6 +72,7 @@ class UndeviatingGiver(Giver):
 #: Givers, and the largest rate at which they play a recording, relative to the recorded one.
 GIVERS: dict[str | type[Giver], float] = {
     UndeviatingGiver: 1.0,
+    "adaptive": 2.0,
     "replay": 1.0,
     "cooperative": 2.0,
     "displaced": 1.0,

@@ -12,7 +12,7 @@ from handover_marl.config import CameraConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
 from handover_marl.visualization.pictures import draw_heat_map, draw_wrist_view
-from tests.short_episodes import shorten_episodes
+from tests.helpers.short_episodes import shorten_episodes
 
 CAMERA = CameraConfig(width=320, height=240)
 

@@ -29,7 +29,7 @@ from handover_marl.visualization.replay_scene import (
     compute_robot_link_poses,
 )
 from tests.evaluation.quick import QuickReceiver
-from tests.short_episodes import shorten_episodes
+from tests.helpers.short_episodes import shorten_episodes
 from tests.visualization.outside import outside
 
 viser = pytest.importorskip("viser", reason="needs the extra `replay`")

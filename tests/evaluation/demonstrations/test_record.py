@@ -26,7 +26,7 @@ from tests.evaluation.demonstrations.recording import (
     contents,
     record,
 )
-from tests.short_episodes import shorten_episodes
+from tests.helpers.short_episodes import shorten_episodes
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ from handover_marl.evaluation.strangers.protocol import make_leaderboard, update
 from handover_marl.evaluation.strangers.report import StrangersReport, read_report
 from handover_marl.policies.populations import load_population
 from tests.evaluation.strangers.populations import write_population
-from tests.short_episodes import shorten_episodes
+from tests.helpers.short_episodes import shorten_episodes
 
 SCENES = (9, 14)
 

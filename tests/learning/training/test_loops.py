@@ -8,8 +8,8 @@ import pytest
 from handover_marl import givers, receivers
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.learning.policy_files import read_policy
+from tests.helpers.short_episodes import shorten_episodes
 from tests.learning.training.scripts import script
-from tests.short_episodes import shorten_episodes
 
 pytest.importorskip("torch", reason="needs an extra with PyTorch")
 pytest.importorskip("mujoco", reason="needs MuJoCo")

@@ -16,8 +16,8 @@ from handover_marl.errors import ResultsError, UnknownNameError
 from handover_marl.learning.imitation.vision.views import GraspViewConfig
 from handover_marl.learning.training.run_folder import open_run_folder
 from handover_marl.policies.reference import parse_policy
+from tests.helpers.short_episodes import shorten_episodes
 from tests.learning.training.scripts import QUICK_REACTIVE, REWARDS, evaluate_hold, files, script
-from tests.short_episodes import shorten_episodes
 
 sb3 = pytest.importorskip("stable_baselines3", reason="needs the extra `train`")
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning", "ignore::DeprecationWarning")

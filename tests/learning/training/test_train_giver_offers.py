@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from handover_marl import EpisodeStatus, givers
+from tests.helpers.short_episodes import shorten_episodes
 from tests.learning.training.scripts import script
-from tests.short_episodes import shorten_episodes
 
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
 

@@ -10,8 +10,8 @@ import pytest
 
 from handover_marl import evaluate_pair
 from handover_marl.datasets.synthetic import SyntheticDataset
+from tests.helpers.short_episodes import shorten_episodes
 from tests.learning.training.scripts import script
-from tests.short_episodes import shorten_episodes
 
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
 pytest.importorskip("mujoco", reason="needs MuJoCo")

@@ -18,7 +18,7 @@ from handover_marl.datasets.custom.dataset import CustomDataset
 from handover_marl.errors import DataFormatError, HandoverError, SceneError, UnknownNameError
 from handover_marl.evaluation.verification import verify
 from tests.helpers.custom_scenes import make_box, make_recording, write_csv
-from tests.short_episodes import shorten_episodes
+from tests.helpers.short_episodes import shorten_episodes
 
 pytest.importorskip("mujoco", reason="MuJoCo validates the grasps of new objects")
 

@@ -21,8 +21,8 @@ from handover_marl.learning.imitation.gaddpg.data_generation import (
 )
 from handover_marl.learning.imitation.learner import ImitationLearner
 from handover_marl.receivers import make
+from tests.helpers.short_episodes import shorten_episodes
 from tests.learning.training.scripts import evaluate_hold, script
-from tests.short_episodes import shorten_episodes
 
 # Few scenes, because each one is generated when it is loaded.
 SCENES = (11, 12)

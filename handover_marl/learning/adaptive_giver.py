@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+import handover_marl.givers
 from handover_marl.config import CheckedConfig, bounded
 from handover_marl.episode.observations import Observation
 from handover_marl.errors import DataFormatError
@@ -24,7 +25,7 @@ from handover_marl.learning.policy_files import read_policy
 from handover_marl.policies.batch import Actions
 from handover_marl.policies.policy import PolicyContext
 
-_SHIPPED = Path(__file__).parent / "policies" / "adaptive.npz"
+_SHIPPED = Path(handover_marl.givers.__file__).parent / "policies" / "adaptive.npz"
 
 
 @dataclass(frozen=True)
@@ -47,8 +48,8 @@ class AdaptiveGiver(ArrayGiver):
 
     An offer is a handover pose and a withdrawal; the rest of the motion is that of `HandoverPoseScheme`. A network
     predicts success and time of an offer from what the person sees, see `handover_marl.learning.offers`. It was trained
-    with the receiver `yang2021`, but is not told who the receiver is. Objects without known grasps are handed over at
-    the recorded pose.
+    with the receiver `yang2021`, but does not observe who the receiver is. Objects without known grasps are handed over
+    at the recorded pose.
 
     Args:
         context: Robot, task and known grasps of the objects.
