@@ -62,7 +62,7 @@ def make_config(args: PairArgs) -> PPOConfig:
 
 def main(args: PairArgs) -> None:
     torch.set_num_threads(1)
-    ray.init(num_cpus=args.num_envs + 1, include_dashboard=False, log_to_driver=False)
+    ray.init("local", num_cpus=args.num_envs + 1, include_dashboard=False, log_to_driver=False)
     algorithm = make_config(args).build_algo()
     for _ in track(range(math.ceil(args.decisions / args.batch_size)), description="updates"):
         algorithm.train()
