@@ -179,7 +179,7 @@ IS_NO_GIVER = r"must be a subclass of handover_marl\.givers\.Giver"
         *((f"{HERE}:Mine:{tail}", "must be key=value,key=value, got") for tail in ("speed", "=2", "speed=2=3", "1=2")),
         *((f"{HERE}:Mine:{tail}", "must be key=value,key=value, got") for tail in ("speed=2, word=x", "word=a,b")),
         (f"{HERE}:Mine:speed=1,speed=2", "must have different names, got 'speed=1,speed=2'"),
-        *((name, r"unknown giver .*valid: cooperative, displaced") for name in ("polite", "", ":", "polite:", ":Mine")),
+        *((name, r"unknown giver .*valid: adaptive, cooperative") for name in ("polite", "", ":", "polite:", ":Mine")),
         *((name, r"unknown giver .*") for name in ("no_module:Mine", f"{HERE}:Nobody", ".relative:Mine", "os.path:no")),
         (Unfinished, "'Unfinished' must define act; add"),
         (Giver, "must define act, reset"),
