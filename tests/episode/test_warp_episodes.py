@@ -27,8 +27,8 @@ CONFIG = replace(OFFICIAL_CONFIG, protocol=replace(OFFICIAL_CONFIG.protocol, hor
 def compare(arrays: Episodes, tensors: Episodes, atol: float) -> None:
     """Compare observations and infos of both batches."""
     rows, indices = np.arange(len(SCENES)), tensors.arrays.arange(len(SCENES))
-    arrays.observe(rows)
-    tensors.observe(indices)
+    arrays.update_state(rows)
+    tensors.update_state(indices)
     expected, found = arrays.select_giver_observation(rows), tensors.select_giver_observation(indices)
     assert found.keys() == expected.keys()
     for key, values in expected.items():
