@@ -17,11 +17,12 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from gymnasium import spaces
 from torch import nn
 
 import handover_marl
 from handover_marl.config import ProtocolConfig
-from handover_marl.episode.observations import Observation, giver_observation_space
+from handover_marl.episode.observations import Observation, add_episode_axis, giver_observation_space
 from handover_marl.execution.files import write_arrays
 from handover_marl.execution.reading import read_arrays
 from handover_marl.learning.adapters.modules import dense_network_from_layers
@@ -167,21 +168,13 @@ class Collector:
         count = 1 if network is None else int(self.rng.choice(self.args.candidates))
         # The first offer is the recorded pose, which one choice of many can only be if the network prefers it.
         offers = draw_offers(self.rng, count + 1, self.args.spread)[0 if count > 1 else 1 :]
-        features = compute_offer_features(split_observation(vector), offers, self.context)
+        space: spaces.Space[Observation] = giver_observation_space()
+        observation = add_episode_axis(spaces.unflatten(space, vector))
+        features = compute_offer_features(observation, offers, self.context)
         if features is None:
             return np.full(N_OFFER_FEATURES, np.nan, np.float32), offers[0]
         best = 0 if network is None else int(np.argmax(compute_offer_scores(network(features))))
         return features[best], offers[best]
-
-
-def split_observation(vector: np.ndarray) -> Observation:
-    """Return the observation of the giver, arrays (1, ...), of which the features `flat_giver` (size,) consist."""
-    observation, start = {}, 0
-    for key, space in giver_observation_space().items():
-        size = int(np.prod(space.shape or ()))
-        observation[key] = vector[start : start + size].reshape(1, *(space.shape or ()))
-        start += size
-    return observation
 
 
 def fit(offers: Offers, args: Args, seed: int) -> DenseNetwork:

@@ -67,7 +67,8 @@ def inverse_transform_points(a_from_b: AnyArray, points: AnyArray) -> AnyArray:
 def compute_pose_distances(pose: npt.ArrayLike, poses: Array, rotation_weight: float) -> Array:
     """Compute distances (..., n) in m^2 from poses (..., n, 7) to poses (..., 7), for the ranking of grasps.
 
-    A distance is the squared distance of the positions plus `rotation_weight` (m^2) times 1 - (p . q)^2 of quaternions.
+    A distance is the squared distance of the positions plus `rotation_weight` (m^2) times 1 - (p . q)^2, where p
+    and q are the quaternions.
     """
     one = np.asarray(pose, dtype=np.float64)
     translation: Array = ((poses[..., :3] - one[..., None, :3]) ** 2).sum(axis=-1)

@@ -68,27 +68,19 @@ class AdaptiveGiver(ArrayGiver):
 
     def __init__(self, context: PolicyContext, weights: str | None = None, **options: float) -> None:
         path = _SHIPPED if weights is None else Path(weights).expanduser()
-        spec, self._network, self._file = read_policy(path, "giver")
-        if spec.features != OFFER_FEATURES or (self._network.n_inputs, self._network.n_outputs) != (
-            N_OFFER_FEATURES,
-            2,
-        ):
+        spec, self._network, self._weights = read_policy(path, "giver")
+        sizes = self._network.n_inputs, self._network.n_outputs
+        if spec.features != OFFER_FEATURES or sizes != (N_OFFER_FEATURES, 2):
             raise DataFormatError(
                 f"{path}: weights of giver 'adaptive' must be a file of train_giver_offers.py, got a policy with "
                 f"features {spec.features!r}"
             )
-        self._label = self.name if weights is None else f"{self.name}@{self._file}"
         super().__init__(context, **options)
-
-    @property
-    def label(self) -> str:
-        """Name of the giver, with name and hash of its policy file if one was given."""
-        return self._label
 
     @property
     def weights_hash(self) -> str:
         """Name and hash of the policy file."""
-        return self._file
+        return self._weights
 
     def allocate(self, count: int, arrays: ArrayFactory) -> None:
         """Create the state of `count` episodes, in arrays that `arrays` creates."""

@@ -29,7 +29,7 @@ def test_the_giver_takes_the_offer_that_its_network_prefers(
     """Features 31 and 34 are the translation upwards and the rotation about the vertical."""
     weights = write_weights(tmp_path / "up.npz", feature)
     giver = givers.make(f"adaptive:weights={weights},offers=500")
-    assert giver.label.startswith("adaptive@up@")
+    assert giver.weights_hash.startswith("up@")
     giver.reset(0)
     assert not giver.act(seen(holding=np.float32([0]))).any()
     far = giver.act(seen())
