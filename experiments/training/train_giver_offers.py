@@ -13,7 +13,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -22,7 +22,7 @@ from torch import nn
 
 import handover_marl
 from handover_marl.config import ProtocolConfig
-from handover_marl.episode.observations import Observation, add_episode_axis, giver_observation_space
+from handover_marl.episode.observations import add_episode_axis, giver_observation_space
 from handover_marl.execution.files import write_arrays
 from handover_marl.execution.reading import read_arrays
 from handover_marl.learning.adapters.modules import dense_network_from_layers
@@ -168,7 +168,7 @@ class Collector:
         count = 1 if network is None else int(self.rng.choice(self.args.candidates))
         # The first offer is the recorded pose, which one choice of many can only be if the network prefers it.
         offers = draw_offers(self.rng, count + 1, self.args.spread)[0 if count > 1 else 1 :]
-        space: spaces.Space[Observation] = giver_observation_space()
+        space: spaces.Space[Any] = giver_observation_space()
         observation = add_episode_axis(spaces.unflatten(space, vector))
         features = compute_offer_features(observation, offers, self.context)
         if features is None:
