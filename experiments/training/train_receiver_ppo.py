@@ -2,12 +2,15 @@
 
     python experiments/training/train_receiver_ppo.py --data-dir DIR --out runs/ppo.npz
 
-The policy learns from the sparse reward when to close the gripper and how to correct the approach to a grasp. The
-script needs the extra `train`, and with `--backend warp` the extra `warp`: environments and networks are
-then on one device, for example `--backend warp --device cuda --num-envs 1024`. The policy file runs without PyTorch:
+The policy learns from a reward when to close the gripper and how to correct the approach to a grasp. With
+`--initial FILE` it improves a policy of `train_receiver_dagger.py`, which moves the gripper without a script.
+
+The script needs the extra `train`, and with `--backend warp` the extra `warp`: environments and networks are then on
+one device, for example `--backend warp --device cuda --num-envs 1024`. The policy file runs without PyTorch:
 `handover-marl benchmark --setup s0 --receiver learned:runs/ppo.npz`.
 """
 
+import itertools
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -21,14 +24,19 @@ from torch.distributions import Normal
 
 import handover_marl
 from handover_marl.datasets.splits import select_scenes_evenly
+from handover_marl.envs.custom_rewards import set_discount
+from handover_marl.geometry.arrays import make_tensor_factory
 from handover_marl.learning.adapters.modules import dense_network_from_module
-from handover_marl.learning.policy_files import check_policy_path, write_policy
-from handover_marl.learning.policy_spec import PolicySpec
-from handover_marl.learning.training.run_folder import make_mlp, spawn_seeds, summarize_evaluation
+from handover_marl.learning.policy_files import check_policy_path, read_policy, write_policy
+from handover_marl.learning.policy_spec import DenseNetwork, PolicySpec
+from handover_marl.learning.training.run_folder import (
+    describe_origin,
+    make_mlp,
+    spawn_seeds,
+    summarize_evaluation,
+)
 from handover_marl.learning.training.scene_arguments import RlArgs, run_script
 from handover_marl.simulation.engines import CPU, THREADS, WARP, BatchBackend, check_backend
-
-ACTIONS = "grasp_servo"
 
 
 @dataclass(frozen=True)
@@ -39,6 +47,11 @@ class Args(RlArgs):
         out: Policy file to write.
         giver: Frozen giver, with options.
         features: Features of the receiver: close, or close_stack for those of the last four decisions.
+        actions: Action scheme of the receiver.
+        rewards: Rewards: sparse, shaped, or module:name of own ones, see docs/reference/rewards.md.
+        initial: Policy file whose network is trained further, with its features, actions and control period; None
+            trains a new network.
+        critic_decisions: Number of decisions at the start from which only the value function is learned.
         minutes: Largest wall-clock time of the training (min), without the evaluation.
         workers: Number of processes that simulate the environments; not used with the backend "warp".
         backend: Backend of the environments: "threads" for MuJoCo on the processor, or "warp" for MuJoCo Warp.
@@ -51,6 +64,10 @@ class Args(RlArgs):
     out: Path = Path("runs/ppo.npz")
     giver: str = "cooperative"
     features: str = "close"
+    actions: str = "grasp_servo"
+    rewards: str = "sparse"
+    initial: Path | None = None
+    critic_decisions: int = 0
     decisions: int = 12_288
     minutes: float = 30.0
     num_envs: int = 128
@@ -67,21 +84,39 @@ class Args(RlArgs):
 
 
 class ActorCritic(nn.Module):
-    """Gaussian policy whose standard deviation does not depend on the features, and a value function."""
+    """Gaussian policy whose standard deviation does not depend on the features, and a value function.
 
-    def __init__(self, n_inputs: int, n_outputs: int, args: Args) -> None:
+    Args:
+        n_inputs: Number of features.
+        n_outputs: Number of outputs of the policy.
+        args: Arguments of the training.
+        initial: Network with which the policy starts, with two hidden tanh layers; None: a new one.
+    """
+
+    def __init__(self, n_inputs: int, n_outputs: int, args: Args, initial: DenseNetwork | None = None) -> None:
         super().__init__()
-        self.actor, self.critic = make_mlp(n_inputs, n_outputs, args.width, 0.01), make_mlp(n_inputs, 1, args.width)
+        width = args.width if initial is None else len(initial.biases[0])
+        self.actor, self.critic = make_mlp(n_inputs, n_outputs, width, 0.01), make_mlp(n_inputs, 1, width)
+        self.normalization = None
+        if initial is not None:
+            initial = initial.copy_to(make_tensor_factory(args.device))
+            self.normalization = initial.normalization
+            numbers = itertools.chain(*zip(initial.weights, initial.biases, strict=True))
+            for parameter, values in zip(self.actor.parameters(), numbers, strict=True):
+                parameter.data.copy_(values)
         # Random closing succeeds now and then, so the gripper's output is explored more than the motion.
         stds = [args.initial_std] * (n_outputs - 1) + [args.gripper_initial_std]
         self.log_std = nn.Parameter(torch.tensor(stds).log())
 
     def compute_distribution(self, features: torch.Tensor) -> Normal:
-        return Normal(self.actor(features), self.log_std.exp())
+        return Normal(self.actor(self._normalize(features)), self.log_std.exp())
 
     def compute_value(self, features: torch.Tensor) -> torch.Tensor:
-        values: torch.Tensor = self.critic(features)
+        values: torch.Tensor = self.critic(self._normalize(features))
         return values[..., 0]
+
+    def _normalize(self, features: torch.Tensor) -> torch.Tensor:
+        return features if self.normalization is None else self.normalization(features)
 
 
 class Batch(NamedTuple):
@@ -113,7 +148,7 @@ class Collector:
             "receiver",
             args.giver,
             features=args.features,
-            schemes=ACTIONS,
+            schemes=args.actions,
             autoreset="same_step",
             setup=args.setup,
             split="train",
@@ -122,6 +157,7 @@ class Collector:
             physics=args.physics,
             control_period=args.control_period,
             max_cycles=args.max_cycles,
+            rewards=set_discount(args.rewards, args.discount),
             **where,
         )
         noise_seed, *seeds = spawn_seeds(1 + count, args.seed, number)
@@ -171,8 +207,13 @@ def compute_advantages(
     return advantages
 
 
-def update(model: ActorCritic, optimizer: torch.optim.Optimizer, batch: Batch, args: Args) -> None:
-    """Update both networks by PPO (Schulman et al., 2017) on a batch of decisions, in `args.epochs` passes."""
+def update(
+    model: ActorCritic, optimizer: torch.optim.Optimizer, batch: Batch, args: Args, policy_weight: float = 1.0
+) -> None:
+    """Update both networks by PPO (Schulman et al., 2017) on a batch of decisions, in `args.epochs` passes.
+
+    With the weight 0 of the policy's loss, only the value function is updated.
+    """
     count = batch.advantages.numel()
     rows = Batch(*(part.reshape(count, *part.shape[2:]) for part in batch))
     for _ in range(args.epochs):
@@ -184,13 +225,16 @@ def update(model: ActorCritic, optimizer: torch.optim.Optimizer, batch: Batch, a
             gain = (part.advantages - part.advantages.mean()) / (part.advantages.std() + 1e-8)
             value_loss = (model.compute_value(part.features) - part.targets).square().mean()
             optimizer.zero_grad()
-            (0.5 * value_loss - torch.min(ratio * gain, clipped * gain).mean()).backward()
+            (0.5 * value_loss - policy_weight * torch.min(ratio * gain, clipped * gain).mean()).backward()
             nn.utils.clip_grad_norm_(model.parameters(), 0.5)
             optimizer.step()
 
 
-def train(args: Args) -> ActorCritic:
-    """Train a receiver until the limit of decisions or of time is reached, and return its networks."""
+def train(args: Args, initial: DenseNetwork | None = None) -> ActorCritic:
+    """Train a receiver until the limit of decisions or of time is reached, and return its networks.
+
+    `initial` is the network with which the policy starts; None: a new one.
+    """
     started, learning_s = time.monotonic(), 0.0
     torch.manual_seed(args.seed)
     torch.set_num_threads(1)  # The networks are small, and the other cores simulate.
@@ -198,14 +242,14 @@ def train(args: Args) -> ActorCritic:
         collectors = list(pool.map(lambda number: Collector(number, args), range(args.workers)))
         envs = collectors[0].envs
         sizes = flatdim(envs.single_observation_space), envs.single_action_space.shape[0]
-        model = ActorCritic(*sizes, args).to(args.device)
+        model = ActorCritic(*sizes, args, initial).to(args.device)
         optimizer = torch.optim.Adam(model.parameters(), args.learning_rate)
         decisions, first_step = 0, time.monotonic()
         while decisions < args.decisions and time.monotonic() - started < 60.0 * args.minutes:
             rollouts = list(pool.map(lambda collector: collector.collect(model), collectors))
             batch = Batch(*(torch.cat(parts, dim=1) for parts in zip(*(each.batch for each in rollouts), strict=True)))
             collected, decisions = time.monotonic(), decisions + batch.advantages.numel()
-            update(model, optimizer, batch, args)
+            update(model, optimizer, batch, args, float(decisions > args.critic_decisions))
             now = time.monotonic()
             learning_s += now - collected
             outcomes = [outcome for rollout in rollouts for outcome in rollout.outcomes]
@@ -242,12 +286,19 @@ def main(args: Args) -> Path:
     if args.backend == WARP:
         args = replace(args, workers=1)
     check_policy_path(args.out)
-    model = train(args)
+    initial = None
+    if args.initial is not None:
+        spec, initial, _ = read_policy(args.initial, "receiver")
+        args = replace(args, features=spec.features, actions=spec.actions, control_period=spec.control_period)
+    model = train(args, initial)
     args.out.parent.mkdir(parents=True, exist_ok=True)
     spec = PolicySpec(
-        "receiver", args.features, ACTIONS, args.control_period, "experiments/training/train_receiver_ppo.py"
+        "receiver", args.features, args.actions, args.control_period, describe_origin("train_receiver_ppo", args)
     )
-    write_policy(args.out, spec, dense_network_from_module(model.actor, "tanh"))
+    network = dense_network_from_module(model.actor, "tanh")
+    if initial is not None:
+        network = replace(network, normalization=initial.normalization)
+    write_policy(args.out, spec, network)
     print(args.out)
     if args.val_scenes:
         evaluate(args)

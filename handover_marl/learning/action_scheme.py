@@ -129,6 +129,17 @@ class ArrayScheme(ABC):
         """
 
 
+class InvertibleScheme(ArrayScheme):
+    """Base class of schemes that also convert actions to outputs, with which other policies can be imitated."""
+
+    @abstractmethod
+    def outputs_from_actions(self, actions: AnyArray, observation: Observation) -> AnyArray:
+        """Return the outputs (r, size) in [-1, 1] that are decoded to the actions nearest to given ones (r, 8 or 9).
+
+        `observation` has arrays (r, ...) of the agent's observations.
+        """
+
+
 class RawScheme(ArrayScheme):
     """Identity scheme: the outputs are the actions in physical units and are not clipped."""
 

@@ -218,6 +218,43 @@ class GraspFeatures(ReceiverFeatures):
         return xp.astype(xp.where(exists[:, None], parts, 0.0), xp.float32)
 
 
+class GraspVelocityFeatures(GraspFeatures):
+    """Features (70): those of `GraspFeatures` (64), and velocities since the last decision (6).
+
+    The velocities are those of the object to hand over and of the person's wrist, in the gripper frame (m/s, times 5,
+    clipped to [-5, 5]); zeros in the first decision of an episode. The gripper's own velocity is left out, because a
+    network that imitates would continue it instead of approaching the object.
+    """
+
+    name, size = "grasp_velocity", GraspFeatures.size + 6
+
+    def allocate(self, count: int) -> None:
+        """Create the last positions, times and velocities in n = `count` episodes."""
+        arrays = self._arrays
+        self._positions, self._velocities = arrays.zeros((count, 2, 3)), arrays.zeros((count, 2, 3))
+        self._times = arrays.full(count, -1.0)
+
+    def reset(self, row: int) -> None:
+        """Set the velocities at index `row` to zero, since a new episode starts there."""
+        self._velocities[row], self._times[row] = 0.0, -1.0
+
+    def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
+        """Return features (r, 70) of the episodes with indices `rows`; a new time means a new decision."""
+        times, axes = (
+            widen(observation["time"][:, 0]),
+            matrices_from_quaternions(widen(observation["gripper_pose"][:, 3:])),
+        )
+        xp, parts = get_namespace(times), ("object_poses", "hand_keypoints")
+        positions = xp.stack([widen(observation[key][:, 0, :3]) for key in parts], axis=1)
+        later = xp.nonzero(times != self._times[rows])[0]
+        known = later[self._times[rows[later]] >= 0.0]
+        moved = positions[known] - self._positions[rows[known]]
+        self._velocities[rows[known]] = moved / (times[known] - self._times[rows[known]])[:, None, None]
+        self._positions[rows[later]], self._times[rows[later]] = positions[later], times[later]
+        velocities = rotate_to_frame(axes, 5.0 * self._velocities[rows]).reshape(len(rows), 6).clip(-5.0, 5.0)
+        return xp.concat([super().__call__(rows, observation), xp.astype(velocities, xp.float32)], axis=1)
+
+
 class GraspProximityFeatures(GraspFeatures):
     """Features (12) that suffice to decide when to close the gripper.
 

@@ -15,6 +15,7 @@ from handover_marl.learning.array_features import (
     GiverFeatures,
     GraspFeatures,
     GraspProximityFeatures,
+    GraspVelocityFeatures,
     ReceiverFeatures,
     StackedFeatures,
 )
@@ -25,7 +26,8 @@ from handover_marl.policies.registry import import_reference
 
 _ALL: tuple[type[ArrayFeatures], ...] = (
     *(GiverFeatures, FlatGiverFeatures),
-    *(ReceiverFeatures, FlatReceiverFeatures, GraspFeatures, GraspProximityFeatures, StackedFeatures),
+    *(ReceiverFeatures, FlatReceiverFeatures, GraspFeatures, GraspVelocityFeatures),
+    *(GraspProximityFeatures, StackedFeatures),
 )
 _FEATURES = {features.name: features for features in _ALL}
 

@@ -1,14 +1,12 @@
 """Action schemes of givers, which convert network outputs to the givers' actions."""
 
-from abc import abstractmethod
-
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE, giver_action_space
 from handover_marl.geometry.arrays import AnyArray, widen
 from handover_marl.geometry.rotations import quaternions_from_rotation_vectors, rotate_points
 from handover_marl.geometry.vectors import compute_lengths
 from handover_marl.givers.reactions import HandoverPoseVariation
-from handover_marl.learning.action_scheme import ArrayScheme, RawScheme
+from handover_marl.learning.action_scheme import InvertibleScheme, RawScheme
 from handover_marl.learning.array_features import compute_handover_frames, rotate_to_frame, rotate_to_world
 from handover_marl.policies.batch import make_giver_actions
 from handover_marl.policies.policy import PolicyContext
@@ -20,23 +18,13 @@ class RawGiverScheme(RawScheme):
     name, agent, size = "giver", "giver", GIVER_ACTION_SIZE
 
 
-class GiverScheme(ArrayScheme):
-    """Base class of invertible giver schemes, with which other givers can be imitated."""
-
-    agent = "giver"
-
-    @abstractmethod
-    def outputs_from_actions(self, actions: AnyArray, observation: Observation) -> AnyArray:
-        """Return the outputs (r, size) in [-1, 1] that are decoded to the actions nearest to givers' actions (r, 8)."""
-
-
-class DeviationScheme(GiverScheme):
+class DeviationScheme(InvertibleScheme):
     """Deviation from the recorded motion: the giver's action Box(8), scaled to [-1, 1].
 
     The giver follows the recording if all outputs are 0, and releases the object if the last output exceeds 0.5.
     """
 
-    name, size = "deviation", GIVER_ACTION_SIZE
+    name, agent, size = "deviation", "giver", GIVER_ACTION_SIZE
 
     def allocate(self, context: PolicyContext, count: int) -> None:
         """Create the bounds of the actions; the constructor calls this once."""
@@ -53,7 +41,7 @@ class DeviationScheme(GiverScheme):
         return (actions / self._high).clip(-1.0, 1.0)
 
 
-class HandoverPoseScheme(GiverScheme):
+class HandoverPoseScheme(InvertibleScheme):
     """Scheme in which the network decides once per episode: handover pose, and withdrawal after the release.
 
     Outputs are requested when the recorded hand is about to stop at its own handover pose. Before that time the giver
@@ -76,7 +64,7 @@ class HandoverPoseScheme(GiverScheme):
         pose_variation: Variation of the pose if the gripper does not approach.
     """
 
-    name, size = "offer", 7
+    name, agent, size = "offer", "giver", 7
     max_output_translation, max_output_rotation, max_withdrawal = 0.25, 1.0, 0.3
     arrival_tolerance = 0.01
     latest_decision_s = 2.5

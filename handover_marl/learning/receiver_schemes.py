@@ -5,7 +5,7 @@ import numpy as np
 from handover_marl.config import ARM_DOF, PANDA_DOF
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arm import ArmKinematics
-from handover_marl.geometry.arrays import AnyArray, get_namespace, stack_last
+from handover_marl.geometry.arrays import AnyArray, get_namespace, stack_last, widen
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import CLOSED, LOWER_LIMITS, OPEN, UPPER_LIMITS, WAITING_JOINTS
 from handover_marl.geometry.rotations import (
@@ -18,8 +18,8 @@ from handover_marl.geometry.rotations import (
     rotation_vectors_from_quaternions,
 )
 from handover_marl.geometry.vectors import compute_lengths
-from handover_marl.learning.action_scheme import ArrayScheme, RawScheme
-from handover_marl.learning.array_features import rotate_to_world
+from handover_marl.learning.action_scheme import ArrayScheme, InvertibleScheme, RawScheme
+from handover_marl.learning.array_features import rotate_to_frame, rotate_to_world
 from handover_marl.policies.policy import PolicyContext
 
 
@@ -45,6 +45,11 @@ class JointScheme(ArrayScheme):
         fingers = xp.where(closed, CLOSED, OPEN)[:, None]
         return xp.astype(xp.concat([clipped, fingers, fingers], axis=1), xp.float32)
 
+    def _encode_fingers(self, actions: AnyArray) -> AnyArray:
+        """Return outputs (r, 1) that close or open the gripper as target positions (r, 9) do."""
+        is_closed = actions[:, ARM_DOF:].mean(axis=1) < (OPEN + CLOSED) / 2.0
+        return self._arrays.xp.where(is_closed, 1.0, -1.0)[:, None]
+
 
 class JointPositionScheme(JointScheme):
     """Scheme of target joint positions, scaled from [-1, 1] to the joint limits."""
@@ -57,7 +62,7 @@ class JointPositionScheme(JointScheme):
         return xp.astype(low + (self._outputs[rows] + 1.0) / 2.0 * (self._high - low), xp.float32)
 
 
-class JointDeltaScheme(JointScheme):
+class JointDeltaScheme(JointScheme, InvertibleScheme):
     """Scheme of position increments of the seven arm joints, and an output that closes the gripper.
 
     The gripper closes while the last output exceeds 0.
@@ -75,38 +80,30 @@ class JointDeltaScheme(JointScheme):
         arm = observation["robot_joint_position"][:, :ARM_DOF] + self.step * outputs[:, :ARM_DOF]
         return self._limit_targets(arm, outputs[:, ARM_DOF] > 0.0)
 
+    def outputs_from_actions(self, actions: AnyArray, observation: Observation) -> AnyArray:
+        """Return the outputs (r, 8) for target positions (r, 9), with the same direction if they are too far away."""
+        xp, arm = self._arrays.xp, observation["robot_joint_position"][:, :ARM_DOF]
+        deltas = _limit_largest((widen(actions[:, :ARM_DOF]) - arm) / self.step)
+        return xp.concat([deltas, self._encode_fingers(actions)], axis=1)
 
-class CartesianDeltaScheme(JointScheme):
-    """Scheme of motions of the Panda's hand link in its own frame, and an output that closes the gripper.
 
-    Outputs are translation (3), rotation vector (3) and gripper, which closes while the last output exceeds 0. Joint
-    increments follow from the motion by damped least squares on the Jacobian, so that the arm approaches singular and
-    unreachable poses as near as it can. The motors complete 63 % of a motion in 0.1 s.
+class HandMotionScheme(JointScheme):
+    """Base class of schemes that move the Panda's hand link.
+
+    Joint increments follow from the motion by damped least squares on the Jacobian, so that the arm approaches singular
+    and unreachable poses as near as it can.
 
     Attributes:
-        max_output_translation: Translation of the hand link at output 1 (m).
-        max_output_rotation: Rotation of the hand link at output 1 (rad).
         damping: Damping factor of the least squares; a larger one limits motions near singular poses more.
     """
 
-    name, size = "cartesian_delta", 7
-    max_output_translation: float | tuple[float, float, float] = 0.08
-    max_output_rotation, damping = 0.3, 0.05
+    damping = 0.05
 
     def allocate(self, context: PolicyContext, count: int) -> None:
-        """Create the joint limits, the scales of the outputs and the arm's kinematics; called once."""
+        """Create the joint limits and the arm's kinematics; called once."""
         super().allocate(context, count)
-        arrays = self._arrays
-        self._damping = arrays.asarray(self.damping**2 * np.eye(6))
-        self._max_translation = arrays.asarray(self.max_output_translation)
+        self._damping = self._arrays.asarray(self.damping**2 * np.eye(6))
         self._robot = ArmKinematics(read_tree(context.panda_urdf))
-
-    def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the target positions (r, 9) of arms and fingers (rad, m) in the episodes with indices `rows`."""
-        outputs = self._outputs[rows]
-        translations = outputs[:, :3] * self._max_translation
-        rotations = outputs[:, 3:6] * self.max_output_rotation
-        return self._move(observation, translations, rotations, outputs[:, 6] > 0.0)
 
     def _move(
         self, observation: Observation, translations: AnyArray, rotations: AnyArray, closed: AnyArray
@@ -124,7 +121,39 @@ class CartesianDeltaScheme(JointScheme):
         return self._limit_targets(arm + xp.sum(jacobian * weights, axis=1), closed)
 
 
-class GraspServoScheme(CartesianDeltaScheme):
+class CartesianDeltaScheme(HandMotionScheme, InvertibleScheme):
+    """Scheme of motions of the Panda's hand link in its own frame, and an output that closes the gripper.
+
+    Outputs are translation (3), rotation vector (3) and gripper, which closes while the last output exceeds 0. The
+    motors complete 63 % of a motion in 0.1 s.
+
+    Attributes:
+        max_output_translation: Translation of the hand link at output 1 (m).
+        max_output_rotation: Rotation of the hand link at output 1 (rad).
+    """
+
+    name, size = "cartesian_delta", 7
+    max_output_translation, max_output_rotation = 0.08, 0.3
+
+    def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
+        """Return the target positions (r, 9) of arms and fingers (rad, m) in the episodes with indices `rows`."""
+        outputs = self._outputs[rows]
+        translations = outputs[:, :3] * self.max_output_translation
+        rotations = outputs[:, 3:6] * self.max_output_rotation
+        return self._move(observation, translations, rotations, outputs[:, 6] > 0.0)
+
+    def outputs_from_actions(self, actions: AnyArray, observation: Observation) -> AnyArray:
+        """Return the outputs (r, 7) for target positions (r, 9), with the same direction if they are too far away."""
+        xp, arm = self._arrays.xp, widen(observation["robot_joint_position"][:, :ARM_DOF])
+        jacobian, axes = self._robot.compute_hand_jacobians(arm)
+        twist = xp.sum(jacobian * (widen(actions[:, :ARM_DOF]) - arm)[:, None], axis=2)
+        translations = rotate_to_frame(axes, twist[:, :3]) / self.max_output_translation
+        rotations = rotate_to_frame(axes, twist[:, 3:]) / self.max_output_rotation
+        parts = [_limit_largest(translations), _limit_largest(rotations), self._encode_fingers(actions)]
+        return xp.concat(parts, axis=1)
+
+
+class GraspServoScheme(HandMotionScheme):
     """Scheme that moves to the known grasp of lowest cost, with corrections by the outputs, and then to the goal.
 
     The arm stays at the waiting pose during `wait`. Then it approaches the grasp chosen by
@@ -152,7 +181,7 @@ class GraspServoScheme(CartesianDeltaScheme):
         max_standoff: Largest distance of the standoff pose from the grasp (m).
     """
 
-    name = "grasp_servo"
+    name, size = "grasp_servo", 7
     wait = 2.0
     max_output_translation, max_output_rotation = (0.01, 0.01, 0.03), 0.1
     close_threshold = 0.5
@@ -164,6 +193,7 @@ class GraspServoScheme(CartesianDeltaScheme):
         """Create the goal, the waiting pose, and whether the gripper closes in each of n = `count` episodes."""
         super().allocate(context, count)
         arrays = self._arrays
+        self._max_translation = arrays.asarray(self.max_output_translation)
         self._goal = arrays.asarray(context.protocol.goal_center)
         self._waiting = arrays.asarray(WAITING_JOINTS, "float32")
         self._closed = arrays.zeros(count, "bool")
@@ -233,3 +263,9 @@ class GraspServoScheme(CartesianDeltaScheme):
 def _limit_norm(vectors: AnyArray, length: float) -> AnyArray:
     xp, norm = get_namespace(vectors), compute_lengths(vectors)[:, None]
     return xp.where(norm <= length, vectors, vectors * (length / norm.clip(length)))
+
+
+def _limit_largest(vectors: AnyArray) -> AnyArray:
+    """Scale vectors (r, k) down so that no element exceeds 1; the directions remain."""
+    xp = get_namespace(vectors)
+    return vectors / xp.max(xp.abs(vectors), axis=1, keepdims=True).clip(1.0)

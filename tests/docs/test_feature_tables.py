@@ -37,8 +37,8 @@ def read_columns(kind: str, agent: str, name: str) -> list[Column]:
     """Return the table of features, or of an action scheme ("scheme"), on the page."""
     columns = []
     for numbers, quantity, value, *_ in checked_table(PAGE, f"{kind} {agent}/{name}"):
-        if value == "as in `receiver`":
-            columns += read_columns(kind, agent, "receiver")
+        if value.startswith("as in "):
+            columns += read_columns(kind, agent, value.removeprefix("as in ").strip("`"))
             continue
         first, _, last = numbers.partition(" to ")
         columns.append(Column(slice(int(first), int(last or first) + 1), quantity, value))
@@ -102,6 +102,16 @@ def fingers_in_future() -> np.ndarray:
     return rotation_of(future).apply(local)
 
 
+def move_back() -> dict[str, Any]:
+    """Return the observation 0.1 s before `OBSERVATION`, with other positions of object and wrist."""
+    before = {key: values.copy() for key, values in OBSERVATION.items()}
+    before["time"] -= np.float32(0.1)
+    before["object_poses"][0, :3] -= np.float32([0.03, 0.0, -0.02])
+    before["hand_keypoints"][0] -= np.float32([0.0, 0.04, 0.0])
+    return before
+
+
+BEFORE = move_back()
 GRIPPER, FUTURE = OBSERVATION["gripper_pose"], OBSERVATION["replay_object_poses"][-1]
 GOAL = np.array(CONTEXT.protocol.goal_center)
 #: Functions that compute the quantity of a column from the observation independently, by the column's name.
@@ -131,6 +141,8 @@ QUANTITIES: dict[str, Callable[[], Any]] = {
         select_grasp(CONTEXT, OBSERVATION)[1]  # type: ignore[index]
     ],
     "grasp exists": lambda: [1.0],
+    "velocity of the object": lambda: rotation_of(GRIPPER).inv().apply([0.3, 0.0, -0.2]),
+    "velocity of the person's wrist": lambda: rotation_of(GRIPPER).inv().apply([0.0, 0.4, 0.0]),
     "distance to the grasp": lambda: [np.linalg.norm(grasp()[:3] - GRIPPER[:3])],
     "angle to the grasp": lambda: [(rotation_of(GRIPPER).inv() * rotation_of(grasp())).magnitude()],
     "horizontal distance of the gripper from the object in 0.5 s": lambda: [np.linalg.norm((GRIPPER - FUTURE)[:2])],
@@ -146,7 +158,7 @@ QUANTITIES: dict[str, Callable[[], Any]] = {
 
 def described_value(text: str, quantity: Any) -> np.ndarray:
     """Evaluate the value of a column, such as "10 q - 5", for a quantity q."""
-    formula = text.partition(";")[0]
+    formula = text.partition(",")[0] if "within" in text else text.partition(";")[0]
     if "q" not in formula.replace("row by row", ""):
         return np.asarray(quantity)  # the column is a flag, which is described in words
     for factor in ("5", "10", "50"):
@@ -172,10 +184,13 @@ def test_every_column_is_described(agent: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("agent", "name"), [("giver", "giver"), *(("receiver", n) for n in ("receiver", "grasp", "close"))]
+    ("agent", "name"),
+    [("giver", "giver"), *(("receiver", n) for n in ("receiver", "grasp", "grasp_velocity", "close"))],
 )
 def test_features_have_the_described_values(agent: str, name: str) -> None:
-    features = make_features(agent, name, CONTEXT)(OBSERVATION)
+    extractor = make_features(agent, name, CONTEXT)
+    extractor(BEFORE)
+    features = extractor(OBSERVATION)
     for column in read_columns("features", agent, name):
         expected = described_value(column.value, QUANTITIES[column.name]())
         np.testing.assert_allclose(features[column.place], expected, atol=1e-4, err_msg=column.name)

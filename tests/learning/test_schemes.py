@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from handover_marl.config import GiverConfig, PandaConfig, ProtocolConfig, WorldConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.spaces import check_giver_action, giver_action_space, receiver_action_space
+from handover_marl.errors import OptionError
 from handover_marl.learning.array_features import compute_handover_frames
 from handover_marl.learning.features import make_features
 from handover_marl.learning.giver_schemes import HandoverPoseScheme
@@ -101,6 +102,27 @@ def test_cartesian_delta_moves_the_gripper_in_its_own_frame() -> None:
         way = np.array([*turn.inv().apply(moved - place) / 0.08, *(turn.inv() * turned).as_rotvec() / 0.3])
         np.testing.assert_allclose(way, values[:6], atol=0.1)
         np.testing.assert_allclose(target[7:], [0.04, 0.04], rtol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["joint_delta", "cartesian_delta"])
+def test_outputs_follow_from_the_action_of_a_receiver(name: str) -> None:
+    scheme = make_scheme("receiver", name, CONTEXT)
+    values = np.random.default_rng(0).uniform(-0.8, 0.8, scheme.size)
+    values[-1] = 1.0
+    scheme.set_outputs(values)
+    action = scheme.compute_action(seen())
+    # The damping of the least squares shortens motions a little.
+    np.testing.assert_allclose(outputs_from_action(scheme, action, seen()), values, atol=0.05)
+    far = action.copy()
+    far[:7] = START[:7] + 5 * (action[:7] - START[:7])
+    found = outputs_from_action(scheme, far, seen())
+    assert abs(found).max() <= 1.0
+    np.testing.assert_allclose(found[:3] / values[:3], np.full(3, found[0] / values[0]), rtol=0.1)
+
+
+def test_a_scheme_that_cannot_be_inverted_names_those_that_can() -> None:
+    with pytest.raises(OptionError, match=r"grasp_servo.*cannot imitate; use one of .*cartesian_delta"):
+        outputs_from_action(make_scheme("receiver", "grasp_servo", CONTEXT), START, seen())
 
 
 def test_grasp_servo_waits_then_approaches_a_grasp() -> None:

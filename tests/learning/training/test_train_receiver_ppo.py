@@ -10,6 +10,8 @@ import pytest
 
 from handover_marl import evaluate_pair
 from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.learning.policy_files import read_policy, write_policy
+from handover_marl.learning.policy_spec import DenseNetwork, InputNormalization, PolicySpec
 from tests.helpers.short_episodes import shorten_episodes
 from tests.learning.training.scripts import script
 
@@ -52,6 +54,25 @@ def test_a_training_repeats_from_its_seed(train: ModuleType, tmp_path: Path) -> 
         for number, seed in enumerate((1, 1))
     ]
     np.testing.assert_array_equal(found[0], found[1])
+
+
+@pytest.mark.slow
+def test_a_training_continues_from_a_policy_file(train: ModuleType, tmp_path: Path) -> None:
+    """With a learning rate of zero, the policy that is written acts as the first one."""
+    rng = np.random.default_rng(0)
+    sizes = ((32, 70), (32, 32), (7, 32))
+    weights = tuple(rng.normal(0, 0.1, size).astype(np.float32) for size in sizes)
+    biases = tuple(rng.normal(0, 0.1, size[0]).astype(np.float32) for size in sizes)
+    scaling = InputNormalization(rng.normal(size=70), rng.uniform(0.5, 2, 70), np.full(70, 5.0))
+    network = DenseNetwork(weights, biases, "tanh", normalization=scaling)
+    first = tmp_path / "first.npz"
+    write_policy(first, PolicySpec("receiver", "grasp_velocity", "cartesian_delta", 0.1, "a test"), network)
+    small = {"dataset": "synthetic", "num_envs": 2, "batch_size": 8, "epochs": 1, "decisions": 8, "val_scenes": 0}
+    out = train.main(train.Args(out=tmp_path / "out.npz", initial=first, learning_rate=0.0, workers=1, **small))
+    spec, found, _ = read_policy(out, "receiver")
+    assert (spec.features, spec.actions, spec.control_period) == ("grasp_velocity", "cartesian_delta", 0.1)
+    inputs = rng.normal(size=70).astype(np.float32)
+    np.testing.assert_allclose(found(inputs), network(inputs), atol=1e-6)
 
 
 def read_numbers(file: Path) -> np.ndarray:

@@ -1,0 +1,218 @@
+"""Train a receiver to imitate another one by DAgger (Ross, Gordon and Bagnell, AISTATS 2011).
+
+    python experiments/training/train_receiver_dagger.py --data-dir DIR --out runs/dagger
+
+In each round, the scenes of the training split are played once. In the first round the expert acts, with random
+disturbances. In later rounds, the network acts first; the expert takes over at a random time, or when the network
+closes the gripper, and shows how to go on from there. Decisions of the expert are recorded. The network is trained anew
+after each round. It maps features to the outputs of an action scheme, such as motions of the gripper, without a script.
+The folder gets
+`policy.npz` (`--receiver learned:runs/dagger/policy.npz`), which `train_receiver_ppo.py --initial` improves;
+`--resume` continues a run.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import nn
+
+import handover_marl
+from handover_marl.envs.config import EnvConfig
+from handover_marl.learning.adapters.modules import dense_network_from_layers
+from handover_marl.learning.features import make_features
+from handover_marl.learning.imitation.samples import generate_samples, join_samples
+from handover_marl.learning.policy_files import read_policy, write_policy
+from handover_marl.learning.policy_spec import DenseNetwork, InputNormalization, PolicySpec
+from handover_marl.learning.schemes import make_scheme, outputs_from_action
+from handover_marl.learning.training.run_folder import (
+    POLICY,
+    describe_origin,
+    make_mlp,
+    open_run_folder,
+    select_training_scenes,
+    summarize_evaluation,
+)
+from handover_marl.learning.training.scene_arguments import SetupArgs, run_script
+from handover_marl.policies.reference import parse_policy
+
+
+@dataclass(frozen=True)
+class Args(SetupArgs):
+    """Arguments of the training of a receiver by imitation.
+
+    Attributes:
+        out: Folder of the run.
+        seed: Seed of all random numbers.
+        expert: Receiver to imitate, which must decide once per control period.
+        giver: Giver of all episodes.
+        features: Features of the receiver, inputs of the network.
+        actions: Action scheme that decodes the network's outputs; it must be invertible.
+        rounds: Number of rounds; each plays every training scene once.
+        control_period: Time between two decisions (s).
+        disturbance: Standard deviation of the disturbances of the outputs.
+        disturbed_share: Share of the decisions that are disturbed.
+        latest_takeover: Largest time at which the expert takes over (s).
+        width: Width of the two hidden layers of the network.
+        updates: Number of gradient steps in each training of the network.
+        batch_size: Number of decisions per gradient step.
+        learning_rate: Learning rate of AdamW at the start; it decays to zero.
+        weight_decay: Weight decay of AdamW.
+        val_scenes: Largest number of validation scenes in the evaluation after each round; 0 skips it.
+        val_physics: Physics of the evaluations: fast, exact or mujoco.
+        workers: Number of processes, on which the results do not depend; default: one per core.
+        resume: Whether to continue the run in the folder `out`.
+    """
+
+    out: Path = Path("runs/dagger")
+    seed: int = 0
+    expert: str = "reactive:period=0.1,near_period=0.1,approach_close_period=0.1"
+    giver: str = "replay"
+    features: str = "grasp_velocity"
+    actions: str = "cartesian_delta"
+    rounds: int = 4
+    control_period: float = 0.1
+    disturbance: float = 0.3
+    disturbed_share: float = 0.15
+    latest_takeover: float = 6.0
+    width: int = 256
+    updates: int = 8_000
+    batch_size: int = 512
+    learning_rate: float = 1e-3
+    weight_decay: float = 1e-3
+    val_scenes: int = 36
+    val_physics: str = "mujoco"
+    workers: int | None = None
+    resume: bool = False
+
+
+class Decisions(NamedTuple):
+    """Decisions of n control periods.
+
+    Attributes:
+        features: Features (n, k) of the observations.
+        outputs: Outputs (n, m) of the action scheme that are decoded to the expert's actions.
+    """
+
+    features: np.ndarray
+    outputs: np.ndarray
+
+
+def make_player(args: Args, number: int, student: DenseNetwork | None) -> Callable[[int], Decisions]:
+    """Return a function that plays a scene and returns its decisions.
+
+    Args:
+        args: Arguments of the training.
+        number: Number of the round.
+        student: Network that acts until the expert takes over; None: the expert always acts.
+    """
+    config = EnvConfig(
+        setup=args.setup,
+        split="train",
+        data_dir=args.data_dir,
+        dataset=args.dataset,
+        physics="mujoco",
+        control_period=args.control_period,
+    )
+    env = handover_marl.freeze(handover_marl.parallel_env(config), "receiver", args.giver)
+    context = env.unwrapped.policy_context
+    expert = parse_policy("receiver", args.expert).make_from_context(context)
+    features = make_features("receiver", args.features, context)
+    scheme = make_scheme("receiver", args.actions, context)
+
+    def play(scene: int) -> Decisions:
+        rng, inputs, targets = np.random.default_rng((args.seed, number, scene)), [], []
+        takeover = 0.0 if student is None else rng.uniform(0.0, args.latest_takeover)
+        observations, _ = env.reset(seed=int(rng.integers(2**31)), options={"scene_id": scene})
+        features.reset()
+        scheme.reset()
+        expert.reset(int(rng.integers(2**31)))
+        is_student = student is not None
+        while env.agents:
+            observation = observations["receiver"]
+            vector = features(observation)
+            if student is not None and is_student:
+                outputs = student(vector)
+                is_student = outputs[-1] <= 0.0 and observation["time"][0] < takeover
+            if not is_student:
+                outputs = outputs_from_action(scheme, expert.act(observation), observation)
+                inputs.append(vector)
+                targets.append(outputs)
+            if rng.random() < args.disturbed_share:
+                outputs = outputs + args.disturbance * rng.standard_normal(scheme.size) * (
+                    np.arange(scheme.size) < scheme.size - 1
+                )
+            scheme.set_outputs(outputs)
+            observations = env.step({"receiver": scheme.compute_action(observation)})[0]
+        return Decisions(
+            np.array(inputs, np.float32).reshape(-1, features.size),
+            np.array(targets, np.float32).reshape(-1, scheme.size),
+        )
+
+    return play
+
+
+def fit(decisions: Decisions, args: Args) -> DenseNetwork:
+    """Train a new network from features to outputs."""
+    torch.manual_seed(args.seed)
+    inputs, targets = map(torch.as_tensor, decisions)
+    mean, scale = inputs.mean(0), inputs.std(0).clamp(min=0.05)
+    inputs = ((inputs - mean) / scale).clamp(-5.0, 5.0)
+    network = make_mlp(inputs.shape[1], targets.shape[1], args.width)
+    optimizer = torch.optim.AdamW(network.parameters(), args.learning_rate, weight_decay=args.weight_decay)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, args.updates)
+    for _ in range(args.updates):
+        rows = torch.randint(len(inputs), (args.batch_size,))
+        loss = nn.functional.smooth_l1_loss(network(inputs[rows]), targets[rows], beta=0.2)
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        schedule.step()
+    print(f"{len(inputs)} decisions: loss {loss.item():.4f}", flush=True)
+    size = inputs.shape[1]
+    normalization = InputNormalization(mean.double().numpy(), scale.double().numpy(), np.full(size, 5.0))
+    return replace(dense_network_from_layers(network, "tanh"), normalization=normalization)
+
+
+def main(args: Args) -> Path:
+    args = args.resolve_setup()
+    dataset = args.open_dataset()
+    folder = open_run_folder(args.out, args, args.resume, dataset.name, ("rounds", "workers"))
+    scenes = select_training_scenes(dataset.list_scenes(args.setup, "train"))
+    validation = dataset.list_scenes(args.setup, "val")[: args.val_scenes]
+    spec = PolicySpec(
+        "receiver", args.features, args.actions, args.control_period, describe_origin("train_receiver_dagger", args)
+    )
+    parts: list[Decisions] = []
+    student = None
+    for number in range(args.rounds):
+        title, make = f"round {number}", lambda n=number, s=student: make_player(args, n, s)
+        parts += generate_samples(Decisions, folder / f"round_{number}", scenes, make, title, args.workers)
+        policy = folder / f"policy_{number}.npz"
+        if not policy.exists():
+            write_policy(policy, spec, fit(join_samples(parts), args))
+        student = read_policy(policy, "receiver")[1]
+        if validation:
+            report = handover_marl.evaluate_pair(
+                args.giver,
+                f"learned:{policy}",
+                args.setup,
+                "val",
+                scenes=validation,
+                dataset=args.dataset,
+                data_dir=args.data_dir,
+                physics=args.val_physics,
+                workers=args.workers,
+                progress=False,
+            )
+            print(summarize_evaluation(report, f"{number + 1} rounds, giver {args.giver}"), flush=True)
+    assert student is not None
+    write_policy(folder / POLICY, spec, student)
+    return folder / POLICY
+
+
+if __name__ == "__main__":
+    print(run_script(main, Args, __doc__))
