@@ -227,7 +227,7 @@ class TiredGiver(ArrayGiver):
         self.state["phases"][row] = self.arrays.asarray(self.rngs[row].uniform(0.0, 2.0 * np.pi, 3))
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return the actions (r, 8) in the episodes `rows` with the displacements by present tremor and sinking."""
+        """Return the actions (r, 8) in the episodes `rows` with the present displacements by tremor and sinking."""
         xp, config, now = self.arrays.xp, self.config, widen(observation["time"][:, 0])
         since, holds = self.state["holding_since"][rows], observation["holding"][:, 0] != 0.0
         since = self.state["holding_since"][rows] = xp.where(xp.isnan(since) & holds, now, since)

@@ -83,7 +83,7 @@ def check_config(name: str, value: object, config_class: type) -> None:
     """Check that a value is a configuration of a class; `name` is that of the argument, for the error.
 
     Raises:
-        OptionError: It is something else, such as the class itself.
+        OptionError: The value is not an instance of the class.
     """
     if not isinstance(value, config_class):
         raise OptionError(f"{name} must be a {config_class.__name__}, got {value!r}")

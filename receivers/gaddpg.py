@@ -125,7 +125,7 @@ class PointCloudMemory:
         return points
 
     def is_object_caged(self, base_from_hand: Array) -> bool:
-        """Return whether over 50 of 1024 (repeated) object points are between the fingers at a hand link pose."""
+        """Return whether over 50 of 1024 (repeated) object points are between the fingers at a hand pose (4, 4)."""
         if self.cloud.shape[1] == 0:
             return False
         hand = _transform(_invert_rounded(base_from_hand), self.cloud)

@@ -27,7 +27,7 @@ def load_gripper_poses(grasps: Callable[[str], Array | None], object_name: str) 
 
 
 def load_hand_poses(grasps: Callable[[str], Array | None], object_name: str) -> Array | None:
-    """Return the hand link's poses (n, 7), xyz and xyzw, at the known grasps of an object class, or None if unknown."""
+    """Return the hand link's poses (n, 7), xyz and xyzw, at an object class's known grasps in its frame, or None."""
     grippers = load_gripper_poses(grasps, object_name)
     return None if grippers is None else compose(grippers, np.array(GRIPPER_FROM_HAND))
 

@@ -48,8 +48,8 @@ class YangConfig(CheckedConfig):
         close_time: Time for which the fingers close (s).
         close_decision_period: Time between decisions while the fingers close; longer ones are faster in batches (s).
         standoff: (7,) standoff pose (quaternion xyzw) of the hand link, in the frame of the hand link at the grasp.
-        preferred_pose: (7,) world pose of the hand link near which a standoff has a low cost.
-        rotation_weight: Weight of rotations relative to squared distances in a standoff's cost.
+        preferred_pose: (7,) world pose (quaternion xyzw) of the hand link near which a standoff has a low cost.
+        rotation_weight: Weight of rotations relative to squared distances in a standoff's cost (m^2).
         max_candidates: Maximum number of grasps that are checked for reachability.
         region_width: Half width, for a standoff at the grasp, of the region around the line from
             standoff to grasp in which the hand link moves straight to the grasp (m).

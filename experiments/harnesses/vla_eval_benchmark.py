@@ -1,10 +1,11 @@
-"""Benchmark for vla-eval, the evaluation harness of vision-language-action models: one task a scene.
+"""Benchmark for vla-eval, the evaluation harness of vision-language-action models: one task per scene.
 
     cd experiments/harnesses
     PYTHONPATH=. vla-eval run --config vla_eval.yaml
 
 A model gets the image of the wrist camera, the joints of the robot and the task in words. It returns a motion of the
-Panda's hand link in its own frame and the gripper, see `handover_marl.learning.receiver_schemes.CartesianDeltaScheme`.
+Panda's hand link in the link's own frame, and the opening of the gripper, see
+`handover_marl.learning.receiver_schemes.CartesianDeltaScheme`.
 """
 
 from typing import Any

@@ -95,7 +95,7 @@ def _is_in_split(scene: int, selected: _Filter, find_side: Callable[[int], str])
 
 
 def get_prescribed_side(scene: int) -> Literal["left", "right"]:
-    """Return the giver's hand in a scene by its number; the trial must be in `PRESCRIBED_SIDE_TRIALS`."""
+    """Return the hand that DexYCB prescribed to the giver of a scene; only for trials in `PRESCRIBED_SIDE_TRIALS`."""
     return "right" if scene % 5 < 2 else "left"
 
 

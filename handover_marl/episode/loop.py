@@ -176,7 +176,8 @@ class EpisodeAgent:
     """Policy that acts for one agent in one episode at its own control period, and the action that it holds.
 
     The policy's seed is derived from the seed of the run: `derive_giver_seed` for a giver, `derive_receiver_seed` for a
-    receiver, which starts at its first decision. For a receiver, the random draws of the wrist camera are seeded, too.
+    receiver, whose `reset` is called at its first decision. For a receiver, the random draws of the wrist camera are
+    seeded, too.
 
     Args:
         episode: Episode at the start of a scene.

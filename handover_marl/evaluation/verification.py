@@ -246,8 +246,8 @@ def compare_results(stored: EpisodeResult, simulated: EpisodeResult, same_versio
 def check_reports(path: Path) -> tuple[list[Difference], int]:
     """Compare the reports in a result folder with reports that are computed from its result files.
 
-    The differences in `report.json` are summed up in one. The report may have fewer scenes than the folder, because it
-    contains those of the last run.
+    All differences in `report.json` are reported as one. The report may have fewer scenes than the folder, because it
+    contains only the scenes of the last run.
 
     Args:
         path: Result folder. Reports of other versions are not compared. A folder without a report has no differences.

@@ -110,8 +110,8 @@ def _is_within(error: Array, tolerance: float | tuple[float, float]) -> npt.NDAr
 def compute_pose_error(origins: Array, hand_rotations: Array, positions: Array, rotations: Array) -> Array:
     """Return the differences (6, n) of wanted from present hand poses: translation (m), then rotation vector (rad).
 
-    `origins` (3, n) and `hand_rotations` (3, 3, n) are present ones, of `LinkFrames`; `positions` (3, n) and
-    `rotations` (n, 3, 3) are wanted.
+    The present poses are `origins` (3, n) and `hand_rotations` (3, 3, n), as in `LinkFrames`; the wanted poses are
+    `positions` (3, n) and `rotations` (n, 3, 3).
     """
     difference = np.einsum("nij,kjn->ikn", rotations, hand_rotations)
     twice_sine = np.stack(
@@ -219,10 +219,10 @@ class ThreadIkSolver(IkSolver):
 
 
 class PandaIkSolver(IkSolver):
-    """Inverse kinematics of a Panda without PyBullet, from whose solutions these differ slightly.
+    """Inverse kinematics of a Panda without PyBullet; the solutions differ slightly from PyBullet's.
 
     Joint limits are ignored, as by `BulletIKSolver` and `BulletIKStep`. Solutions do not depend on
-    earlier queries, nor on the others of a batch, to the last bit.
+    earlier queries, nor on other queries of a batch, to the last bit.
 
     Args:
         urdf: Model of the Panda.

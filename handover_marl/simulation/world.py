@@ -232,7 +232,8 @@ class World(ABC):
         """Return the contacts of robot, hand and objects in the last physics step.
 
         Args:
-            released: Whether the human has released the object; contacts with supports are read only then.
+            released: Whether the human has released the object; its contacts with table and other objects are read only
+                then.
         """
 
     @abstractmethod

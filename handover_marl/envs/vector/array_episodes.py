@@ -142,7 +142,7 @@ class ArrayEpisodes:
         return self._terminated[rows] | self._truncated[rows]
 
     def find_waiting(self, rows: AnyIndices) -> AnyIndices:
-        """Return those of the indices `rows` whose episode runs and whose action scheme needs no outputs now."""
+        """Return the indices in `rows` of running episodes whose action scheme needs no outputs now."""
         if len(self._agents) > 1 or not self._schemes:
             return rows[:0]
         (agent,) = self._agents

@@ -24,9 +24,9 @@ DEFAULT_PARTNERS = {RECEIVER: "replay", GIVER: "yang2021"}
 class FrozenPartnerEnv(ParallelWrapper):
     """Parallel environment of one agent, made by `freeze`; a fixed policy acts for the other agent.
 
-    The partner acts as in evaluations: at its own control period, whatever that of the environment, and with seeds that
-    are derived from a run seed, which is drawn for each episode. Wrappers of `env` change neither observations nor
-    actions of the partner.
+    The partner acts as in evaluations: at its own control period, which may differ from the environment's, and with
+    seeds that are derived from a run seed, which is drawn for each episode. Wrappers of `env` change neither
+    observations nor actions of the partner.
 
     Args:
         env: Environment with both agents, see `freeze` for this and the other arguments.

@@ -207,7 +207,7 @@ class ReportTable:
         return self.format()
 
     def select(self, columns: Sequence[str]) -> "ReportTable":
-        """Return a table with the given columns in this order, all for none; it has no rows if a column is missing."""
+        """Return a table of the given columns, or of all if none are given; it has no rows if a column is missing."""
         if not columns:
             return self
         if not set(columns) <= set(self.header):

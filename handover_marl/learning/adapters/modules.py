@@ -58,8 +58,8 @@ def dense_network_from_module(module: Any, activation: str | None = None) -> Den
         activation: Activation between the layers, a key of `ACTIVATIONS`; None finds it by comparison, too.
 
     Raises:
-        DataFormatError: The shapes of consecutive layers do not match, or no network of linear layers and one
-            activation, or that with `activation`, has the same outputs.
+        DataFormatError: The shapes of consecutive layers do not match, or no network of these layers and one activation
+            (`activation`, if given) has the same outputs.
     """
     bare = dense_network_from_layers(module, "identity" if activation is None else activation)
     inputs = draw_inputs(bare.n_inputs)

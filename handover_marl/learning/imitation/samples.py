@@ -59,7 +59,7 @@ def generate_samples(
 
 
 def get_samples_path(folder: Path, key: int) -> Path:
-    """Return the path of the file in a folder that has the samples of a key, a number such as that of a scene."""
+    """Return the path of the file in a folder that has the samples of a key, such as a scene number."""
     return folder / f"{key:06d}.npz"
 
 

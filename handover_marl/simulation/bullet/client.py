@@ -184,7 +184,7 @@ def load_urdf(client: BulletClient, path: Path | str, **options: object) -> int:
 def check_model_files(urdf: Path, modified_ns: int) -> None:
     """Check the files of a model before PyBullet loads them.
 
-    PyBullet crashes on invalid vertex numbers, waits forever if a path is a pipe, and loads any number.
+    PyBullet crashes on invalid vertex numbers, waits forever if a path is a pipe, and accepts numbers of any size.
 
     Args:
         urdf: URDF file of the model.

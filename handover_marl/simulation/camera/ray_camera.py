@@ -236,7 +236,7 @@ class RayCamera:
     def render_wrist_camera(self, snapshot: JointSnapshot, color: bool) -> CameraImage:
         """Render the wrist-camera image with all bodies of the scene at the joint positions of a snapshot.
 
-        With `color` it has the colours of the models' materials and textures in PyBullet's light.
+        With `color`, the image has the colours of the models' materials and textures in PyBullet's light.
         """
         buffer = Framebuffer(*self._compute_camera_frame(snapshot), color)
         buffer.add_ground()

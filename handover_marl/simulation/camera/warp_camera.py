@@ -2,7 +2,7 @@
 
 Images equal those of `ray_camera.RayCamera` to single precision. All arrays are PyTorch tensors on the device.
 
-The renderer of MuJoCo Warp 4.0 does not serve: its context holds the meshes and textures of one compiled model and
+The renderer of MuJoCo Warp 4.0 cannot be used: its context holds the meshes and textures of one compiled model and
 compiles a kernel of its own, while the worlds here get other scenes in every episode. It also has another light than
 PyBullet, and no images of hand and object alone behind the bodies that cover them.
 """
@@ -211,7 +211,7 @@ class WarpCamera:
     def render_wrist_camera(self, rows: AnyArray, states: WorldState, color: bool) -> ImageBatch:
         """Render wrist-camera images of the worlds `rows` (r,) in `states` (r, ...), with all bodies of the scenes.
 
-        With `color` they have the colours of the models' materials and textures in PyBullet's light.
+        With `color`, images have the colours of the models' materials and textures in PyBullet's light.
         """
         return self._render(rows, states, tuple(SegmentationLabel), color)
 

@@ -31,7 +31,7 @@ from handover_marl.receivers.gaddpg import GRIPPER_POINTS
 class ImitationBatch(NamedTuple):
     """Tensors of B imitation states with N points and M centers of groups.
 
-    The hands are the Panda's hand link.
+    A hand is the Panda's hand link in one of the states.
 
     Attributes:
         points: (B, N, 3) points in the hands' frames (m).
@@ -265,7 +265,7 @@ class GaddpgLearner(ImitationLearner[GaddpgNetwork, ImitationBatch]):
         return {name: float(value) for name, value in losses.items()}
 
     def compute_losses(self, network: GaddpgNetwork, batch: ImitationBatch) -> tuple[Tensor, dict[str, Tensor]]:
-        """Return the loss of a batch to minimize, and its mean losses "action" (motions) and "goal" (grasps) in m."""
+        """Return the loss to minimize, and its terms "action" (error of motions) and "goal" (error of grasps) in m."""
         moved = batch.to(self._device)
         with torch.autocast(self._device.type, torch.bfloat16, enabled=self.use_bfloat16):
             output = network.policy(encode_batch(network.features, moved), moved.remaining)
