@@ -40,7 +40,7 @@ class ArrayGiver(Giver):
         OptionError: An option is unknown, or its value is out of range.
 
     Attributes:
-        config: Configuration; that of the class is the default.
+        config: Configuration; default: the configuration of the class.
         state: Arrays (n, ...) of the episodes' state by name.
         rngs: Random generator of each episode.
         arrays: Creator of the arrays.

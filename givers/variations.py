@@ -307,10 +307,10 @@ class RecordingSpreadGiver(ArrayGiver):
     """Giver that deviates from its recording as other recordings of the same object do.
 
     In every episode, displacement and rotation of the handover pose and the playback speed are drawn from normal
-    distributions. Their standard deviations are those between the recordings of the object in DexYCB's s0 train
-    split (`recording_spread.json`; for other objects those over all objects). The limits of the giver's motion apply:
-    each component of the displacement is at most 0.3 m, that of the rotation vector at most 1 rad, and the motion is
-    at most twice as fast as recorded.
+    distributions. Their standard deviations are those between the recordings of the object in DexYCB's s0 train split
+    (`recording_spread.json`; for other objects between all recordings). The limits of the giver's motion apply: each
+    component is at most 0.3 m for the displacement and 1 rad for the rotation vector, and the motion is at most twice
+    as fast as recorded.
     """
 
     name = "recording_spread"

@@ -80,7 +80,7 @@ def bounded(default: float | tuple[float, ...], low: float, high: float = math.i
 
 
 def check_config(name: str, value: object, config_class: type) -> None:
-    """Check that a value is a configuration of a class; `name` is that of the argument, for the error.
+    """Check that a value is a configuration of a class; `name` is the name of the argument, for the error.
 
     Raises:
         OptionError: The value is not an instance of the class.

@@ -15,8 +15,8 @@ Details of the authors' scripts that determine the results:
   total of 20.
 - Before the first view the start configuration is commanded and no decision is counted.
 - Each decision makes one inverse kinematics query from the present joints, converged or not.
-- The end of the approach is checked in the last millisecond of each decision: more than 50 of 1,024
-  points between the fingers end it, repetitions included, whatever the pose of the hand link.
+- The end of the approach is checked in the last millisecond of each decision: more than 50 of 1,024 points between the
+  fingers, repetitions included, end it at any pose of the hand link.
 - An image is rendered at that time too, and discarded: rendering changes the broad phase of
   Bullet's collision detection, and without it the last bits of the arm's motion differ.
 - Waypoints to the goal are 0.03 m apart, the last one may be behind the goal, and IK is solved for

@@ -84,12 +84,12 @@ class HandoverBenchmark(StepBenchmark):
         }
 
     def get_step_result(self, step_result: StepResult) -> dict[str, Any]:
-        """Return the outcomes of the episode as numbers, 1 for those that happened."""
+        """Return the outcomes of the episode as numbers: 1 for an outcome that happened, else 0."""
         status = EpisodeStatus(step_result.info["status"])
         return {"success": status == EpisodeStatus.SUCCESS, "contact": float(EpisodeStatus.HUMAN_CONTACT in status)}
 
     def get_metric_keys(self) -> dict[str, str]:
-        """Return the metrics of which vla-eval reports the mean."""
+        """Return the metrics whose means vla-eval reports."""
         return {"success": "mean", "contact": "mean"}
 
     def get_metadata(self) -> dict[str, Any]:

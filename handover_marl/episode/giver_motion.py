@@ -171,7 +171,7 @@ class GiverMotion:
 
     `plan` returns the motion of the next physics steps, `commit` applies as many of them as were simulated. Hand and
     held object deviate together, rigidly about the wrist, and only after the object has been picked up, because until
-    then the hand must reach it. The motion of a giver does not depend on the others.
+    then the hand must reach it. The motion of a giver does not depend on the other givers.
 
     Args:
         count: Number n of givers.

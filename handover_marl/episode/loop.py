@@ -317,7 +317,7 @@ def derive_giver_seed(seed: int | None, scene_id: int) -> int:
 def derive_robot_seed(seed: int | None, scene: Scene) -> int:
     """Derive the seed of the robot's initial joint positions: a hash of the run's seed and the objects' first poses.
 
-    The joint positions are observed, so they do not depend on the scene number, but on what is observed with them.
+    Receivers observe the joint positions, so their seed depends only on observed values, not on the scene number.
 
     Args:
         seed: Seed of the run; None is 0.

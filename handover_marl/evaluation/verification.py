@@ -81,7 +81,7 @@ class Verification(TabularResult):
     Attributes:
         metadata: Identity of the evaluation, as the folder states it.
         scenes: Numbers of the scenes that were simulated again, in the split's order.
-        differences: Values that differ: those of the scenes in their order, then those of the folder.
+        differences: Values that differ, first in the scenes in their order, then in the folder's reports and policies.
         n_unreported: Number of results in the folder that its report does not contain.
     """
 
@@ -101,7 +101,7 @@ class Verification(TabularResult):
         return tuple(dict.fromkeys(each.scene_id for each in self.differences if each.scene_id is not None))
 
     def build_sections(self) -> list[str | ReportTable]:
-        """Build the description of what was verified, the table of differences and the conclusion."""
+        """Build the description of the verified folder, the table of differences and the conclusion."""
         metadata, n = self.metadata, len(self.scenes)
         n_changed, n_absent = len(self.changed_scenes), self.metadata.split_size - n
         n_folder = sum(each.scene_id is None for each in self.differences)

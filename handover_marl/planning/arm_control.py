@@ -186,7 +186,7 @@ class ArmServo:
         return velocity / excess if excess > 1.0 else velocity
 
     def limit_acceleration(self, velocity: Array, acceleration: float | None = None) -> Array:
-        """Clip wanted joint velocities (..., 7) in rad/s to those that can be reached in one period.
+        """Clip wanted joint velocities (..., 7) in rad/s to velocities that can be reached in one period.
 
         The result differs from the last command by at most the period times `acceleration` (rad/s^2; None: as
         configured).

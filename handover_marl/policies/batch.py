@@ -45,7 +45,7 @@ class PolicyBatch(ABC):
 
         Args:
             rows: Indices (r,) of the episodes.
-            observe: Function that returns the observations of some episodes; called for those with a decision.
+            observe: Function that returns the observations of some episodes; called for episodes with a decision.
             steps: Physics steps (r,) since the start of each episode.
 
         Raises:

@@ -332,7 +332,7 @@ def override_options(config: _Config, options: Mapping[str, object]) -> _Config:
             sections after the name of the section, such as `approach_standoff`.
 
     Raises:
-        UnknownNameError: A name is not that of a number in the configuration.
+        UnknownNameError: The configuration has no number of a name.
         OptionError: A value is not a finite number.
     """
     values = {field.name: getattr(config, field.name) for field in fields(config)}  # type: ignore[arg-type]

@@ -160,7 +160,7 @@ def make_grasp_validator(
     """Create a validator of grasps of one object in MuJoCo, whatever the physics of the scenes.
 
     The object has HandoverSim's chain of six joints. `config` has the conditions of a valid grasp, None the defaults.
-    The hand link and the fingers are those of the Panda `panda_urdf`.
+    The hand link and the fingers are taken from the Panda `panda_urdf`.
 
     Raises:
         OptionError: MuJoCo is not installed.

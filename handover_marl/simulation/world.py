@@ -158,7 +158,7 @@ class WorldState(NamedTuple):
     ) -> "WorldState":
         """Return the state of one world from the readings of its bodies, with the shapes and frames of the attributes.
 
-        `robot_joints` are positions and velocities, `object_poses` (m, 7) those of m objects. `hand_joints` and
+        `robot_joints` are positions and velocities, `object_poses` (m, 7) are the poses of m objects. `hand_joints` and
         `hand_keypoints` are None if there is no human hand.
         """
         poses = np.zeros((MAX_OBJECTS, 7), dtype=np.float32)

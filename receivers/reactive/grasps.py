@@ -151,8 +151,8 @@ def tilt_grasps(known: Array, config: GraspPreparationConfig) -> Array:
 def compute_grasp_distances(pose: Array, poses: Array, rotation_weight: float, depth: float = 0.0) -> Array:
     """Return the distances (n,) in m of grasp poses (n, 7) (quaternion xyzw) to one grasp pose (7,) in the same frame.
 
-    A distance is that of the points at `depth` (m) on the hand link's z axis, such as `PAD_DISTANCE` for the middle
-    between the pads, plus `rotation_weight` (m/rad) times the rotation angle.
+    A distance is the distance of the points at `depth` (m) on the hand link's z axis, such as `PAD_DISTANCE` for the
+    middle between the pads, plus `rotation_weight` (m/rad) times the rotation angle.
     """
     point = np.array([0.0, 0.0, depth, 0.0, 0.0, 0.0, 1.0])
     translations = np.linalg.norm(compose(poses, point)[:, :3] - compose(pose, point)[:3], axis=1)

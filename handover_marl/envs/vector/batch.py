@@ -243,13 +243,13 @@ class EnvBatch:
         return result.observations, infos
 
     def step(self, actions: ByAgent) -> EnvResult:
-        """Step every environment, and reset those whose episode has ended as `autoreset` specifies.
+        """Step every environment, and reset environments whose episode has ended as `autoreset` specifies.
 
         Args:
             actions: Actions (n, ...) of each agent, arrays or tensors.
 
         Returns:
-            Result of all environments; those that were reset have the observations of the reset. The infos have
+            Result of all environments; environments that were reset have the observations of the reset. The infos have
             Gymnasium's form, with the last observations and infos of episodes that ended and were reset.
 
         Raises:

@@ -38,9 +38,9 @@ class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
     Results have the form of Gymnasium's `SyncVectorEnv`.
 
     With the backend "threads", all values are NumPy arrays. With "warp", observations, rewards, terminations,
-    truncations and infos are PyTorch tensors on the device of the simulation, also those in "final_info". "final_obs"
-    is a NumPy array (n,) of objects, the tensor or the dictionary of tensors of each environment whose episode has
-    ended, and its mask "_final_obs" is a NumPy array.
+    truncations and infos are PyTorch tensors on the device of the simulation, also the infos in "final_info".
+    "final_obs" is a NumPy array (n,) of objects, the tensor or the dictionary of tensors of each environment whose
+    episode has ended, and its mask "_final_obs" is a NumPy array.
 
     Args:
         batch: The environments.

@@ -66,7 +66,7 @@ def strangers(
         setup: Official setup, "s0" to "s3", or one of other data; or a whole `handover_marl.EvaluationConfig`, whose
             policies are ignored.
         split: Split of the scenes, "train", "val" or "test".
-        references: File of references, as `strangers-references` writes it; default: that of the population.
+        references: File of references, as `strangers-references` writes it; default: the population's file.
         execution: Execution settings. The output folder gets a result folder for each pair, the files of `crossplay`,
             `strangers.md` and `strangers.json`; an interrupted evaluation resumes there.
         options: Fields of `handover_marl.EvaluationConfig` and `handover_marl.ExecutionConfig`; the default of
@@ -310,7 +310,7 @@ def make_leaderboard(
         folders: Output folders of `strangers` with the same partners, data and simulation, and in each split the same
             scenes.
         population: Population of the evaluations: name of a shipped one, or path of a file.
-        references: File of references; default: that of the population.
+        references: File of references; default: the population's file.
         names: Name of the method of every folder; default: the labels of its policies.
         trust: Whether modules that the population names may be imported, and code in policy files may run.
 

@@ -28,7 +28,7 @@ _TRIMMED = 0.25  # share of the values that an interquartile mean leaves out at 
 
 
 def compute_proximities(returns: Array, references: Array) -> Array:
-    """Divide returns (policies, partners) by those of the best known policies (partners,): best-response proximities.
+    """Divide returns (policies, partners) by the best known policies' returns (partners,): best-response proximities.
 
     A proximity is above 1 where a policy exceeds the best one, and 1 where the best policy's return is not positive.
     """
@@ -80,7 +80,7 @@ def estimate(
 
 
 def estimate_rate(statistic: Statistic, flags: Array, families: Sequence[str] | None) -> Estimate:
-    """Estimate a rate with its 95 % interval, at least as wide as Wilson's for as many episodes as it is computed from.
+    """Estimate a rate with a 95 % interval that is at least as wide as Wilson's interval for the number of episodes.
 
     Args:
         statistic: Function of returns (policies, partners), which are here shares of scenes; see `Statistic`.

@@ -31,7 +31,7 @@ def generate_samples(
     description: str,
     workers: int | None,
 ) -> list[Samples]:
-    """Return the samples of each key, in the order of `keys`; generate those that have no file yet.
+    """Return the samples of each key, in the order of `keys`; generate samples that have no file yet.
 
     Args:
         kind: Class of the samples, a named tuple of arrays.

@@ -174,7 +174,7 @@ class WarpCamera:
         """Load the models of the scene of the world with number `row`.
 
         Raises:
-            OptionError: Robot or hand have other joints than those of the other worlds.
+            OptionError: Robot or hand have other joints than in the other worlds.
             SimulationError, DataFormatError: A model or one of its meshes cannot be read.
         """
         panda, table = self._config.panda, (*self._config.table_position, *IDENTITY[3:].tolist())
@@ -218,7 +218,7 @@ class WarpCamera:
     def render_targets(self, rows: AnyArray, states: WorldState, with_others: bool = False) -> ImageBatch:
         """Render the visible pixels of target objects and hands of the worlds `rows` (r,) in `states` (r, ...).
 
-        With `with_others`, those of the other objects are rendered, too. All other pixels are background.
+        With `with_others`, pixels of the other objects are rendered, too. All other pixels are background.
         """
         return self._render(rows, states, _OBJECTS if with_others else _TARGETS, False)
 

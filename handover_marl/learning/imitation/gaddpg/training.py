@@ -1,9 +1,9 @@
 """Training of GA-DDPG's network: augmented batches of imitation states, losses and learner.
 
 States are augmented by random changes of the pose of the robot's hand. PointNet++ groups points around sampled centers.
-The groups depend on the distances between points only, so that they are those of the stored cloud. Each point counts
-once in a group; the deployed network repeats points to fill groups, which does not change its output. As in GA-DDPG, a
-loss is the mean L1 distance between six points of the gripper at two poses.
+The groups depend only on the distances between points, so an augmented cloud has the groups of the stored cloud. Each
+point counts once in a group; the deployed network repeats points to fill groups, which does not change its output. As
+in GA-DDPG, a loss is the mean L1 distance between six points of the gripper at two poses.
 """
 
 import itertools
@@ -35,7 +35,7 @@ class ImitationBatch(NamedTuple):
 
     Attributes:
         points: (B, N, 3) points in the hands' frames (m).
-        centers: (B, M) indices of those points that are centers of groups.
+        centers: (B, M) indices of the points that are centers of groups.
         is_center: (B, M) whether a center is not the same point as an earlier one.
         neighbors: (B, M, N) whether a point is in the group of a center.
         center_neighbors: (B, M, M) whether the second center is in the group of centers around the first.
