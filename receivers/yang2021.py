@@ -105,7 +105,8 @@ class Yang2021Receiver(Receiver):
 
     Attributes:
         phase: Phase (n,) of each episode, a `YangPhase`.
-        selected: World poses (n, 2, 7) of the hand link at the selected standoffs and grasps; nan without selection.
+        selected: World poses (n, 2, 7; xyzw) of the hand link at the selected standoffs and grasps; nan without
+            selection.
     """
 
     name = "yang2021"

@@ -84,7 +84,7 @@ def run_verify(
 
     Args:
         folder: Result folder, written by this library or by HandoverSim.
-        scenes: Scene numbers to verify, e.g. 209,214; default: all that have a result.
+        scenes: Scene numbers to verify, e.g. 209,214; default: all scenes with a result.
         giver: The person's policy; default: the registered policy that the folder names.
     """
     from handover_marl.evaluation.verification import COLUMNS, verify

@@ -144,7 +144,7 @@ def run_demonstrate(
     Args:
         obs_mode: Observation mode of the recording, independent of the receiver's: state, pointcloud, rgbd,
             full_pointcloud, scene_pointcloud, or state and one of them (state+rgbd).
-        keep: Episodes to store: all, with their outcomes, or success.
+        keep: Episodes to store: all (with their outcomes), or only those with success.
         fps: Frames per second, 1 to 1000, to record a constant rate; default: every decision, for exact replay.
     """
     from handover_marl.evaluation.demonstrations.record import demonstrate

@@ -100,7 +100,7 @@ def get_prescribed_side(scene: int) -> Literal["left", "right"]:
 
 
 def choose_scenes(split_ids: tuple[int, ...], scenes: Iterable[int] | None, where: str) -> tuple[int, ...]:
-    """Return the chosen `scenes` (None: all) among the numbers of a split, in ascending order without repetitions.
+    """Return the chosen `scenes` (None for all) among the numbers of a split, in ascending order without repetitions.
 
     `where` is the name of the split, for errors.
 

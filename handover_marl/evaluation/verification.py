@@ -151,7 +151,7 @@ def verify(
     Args:
         folder: Result folder, of this library or of HandoverSim; nothing in it is changed.
         data_dir: Data folder in HandoverSim's layout; default: the environment variable HANDOVER_MARL_DATA.
-        scenes: Scene numbers to verify; default: all that have a result.
+        scenes: Scene numbers to verify; default: all scenes with a result.
         giver: The person's policy; default: the registered policy that the folder names.
         world_config: World and rules; must be the same as in the evaluation. Default: the official ones, with the
             noise of the robot's initial joint positions that the folder states.

@@ -67,7 +67,7 @@ MIN_HAND_CLEARANCE = 0.02
 
 
 def is_usable_grasp(object_name: str, grasps: Array) -> npt.NDArray[np.bool_]:
-    """Return a mask (n,) of the grasps, hand link poses (n, 7) in the object's frame, that OMG uses.
+    """Return a mask (n,) of the grasps, hand link poses (n, 7; xyzw) in the object's frame, that OMG uses.
 
     For some objects, by their YCB class names, grasps that slip are excluded.
     """

@@ -188,7 +188,7 @@ class ThreadIkSolver(IkSolver):
         self._find()
 
     def solve_many(self, starts: Joints, positions: Array, orientations: Array | None = None) -> Array:
-        """Return arm joints (n, 7) in rad, nan where IK fails, for starts (n, 9) and world poses of the hand link."""
+        """Return arm joints (n, 7) in rad, nan where IK fails, for starts (n, 9) and hand link poses (world, xyzw)."""
         parts = [part for part in (starts[:, :ARM_DOF], positions, orientations) if part is not None]
         keys = [row.tobytes() for row in np.concatenate(parts, axis=1, dtype=np.float64)]
         rows = np.flatnonzero([key not in self._unsolved for key in keys])
@@ -239,7 +239,7 @@ class PandaIkSolver(IkSolver):
         self._reach = ReachabilityBound(self._base)
 
     def solve_many(self, starts: Joints, positions: Array, orientations: Array | None = None) -> Array:
-        """Return arm joints (n, 7) in rad, nan where IK fails, for starts (n, 9) and world poses of the hand link."""
+        """Return arm joints (n, 7) in rad, nan where IK fails, for starts (n, 9) and hand link poses (world, xyzw)."""
         found = np.full((len(starts), ARM_DOF), np.nan)
         rows = np.flatnonzero(~self._reach.is_unreachable(positions, orientations, _REACH_DISTANCE, _REACH_ANGLE))
         if len(rows):

@@ -279,7 +279,7 @@ def _encode_grasps(templates: HandTemplates, palms: Palms, rows: Ints, closed: C
 def sort_by_farthest_point(grasps: Array) -> Array:
     """Return grasps (k, 4, 4), where k may be 0, in an order in which each is farthest from all before it.
 
-    The distance is that of the points between the fingers, plus that of closing and approach directions, of 5 cm each.
+    The distance is Euclidean, from the points between the fingers, and closing and approach directions scaled by 5 cm.
     """
     if not len(grasps):
         return grasps

@@ -203,7 +203,7 @@ class Openings(ArrayBatch):
         center: (n, 3) centers of the gaps (m).
         axis: (n, 3) unit vectors from the thumb's pad to the fingers' pads.
         width: (n,) widths of the gaps (m).
-        facing: (n,) cosines of the angles between the direction of the fingers' pads and the thumb.
+        facing: (n,) cosines of the angles between the direction that the fingers' pads face and that to the thumb.
     """
 
     posture: Posture
