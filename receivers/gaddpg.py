@@ -3,7 +3,7 @@
 The receiver waits at the start configuration and then decides every 0.15 s on the next pose of the Panda's hand link,
 from the object's point cloud in the wrist camera and the number of remaining decisions. When no decision remains or
 enough points are between the fingers, it closes them at the present pose and carries the object to the goal in a
-straight line. It uses neither the person's hand nor true poses.
+straight line. The receiver uses neither the person's hand nor true poses.
 
 Details of the authors' scripts that determine the results:
 

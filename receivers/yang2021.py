@@ -2,7 +2,7 @@
 
 Every 0.1 s the receiver ranks the object's known grasps by the distance of their standoff poses from the pose selected
 last and from a preferred pose. It moves to the best reachable standoff, from there straight to the grasp, closes the
-fingers and carries the object to the goal. It uses the object's true pose and ignores the person's hand.
+fingers and carries the object to the goal. The receiver uses the object's true pose and ignores the person's hand.
 """
 
 import copy

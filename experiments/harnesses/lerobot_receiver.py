@@ -3,7 +3,7 @@
     cd experiments/harnesses
     handover-marl benchmark --setup s0 --receiver lerobot_receiver:LeRobotReceiver:folder=CHECKPOINT/pretrained_model
 
-It needs LeRobot in the same environment.
+LeRobot must be installed in the same virtual environment.
 """
 
 from collections.abc import Sequence

@@ -70,8 +70,8 @@ def list_split_scenes(setup: str, split: str, find_side: Callable[[int], str]) -
     Args:
         setup: "s0" (no held-out factor), "s1" (unseen subjects), "s2" (unseen handedness) or "s3" (unseen objects).
         split: "train", "val" or "test".
-        find_side: Function from a scene number to "right" or "left". It is only called for trial 4
-            of setup s2; the hand of the other trials is prescribed.
+        find_side: Function from a scene number to "right" or "left". The function is only called for trial 4 of setup
+            s2; the hand of the other trials is prescribed.
 
     Raises:
         UnknownNameError: The setup or the split does not exist.

@@ -305,7 +305,7 @@ def derive_giver_seed(seed: int | None, scene_id: int) -> int:
     """Derive the seed of a giver: a hash of the run's seed and the scene number.
 
     Nothing that a receiver observes may be drawn with this seed, since the receiver could find the scene number by
-    trying all numbers. It may only see these draws in the motion of a giver that acts at random.
+    trying all numbers. A receiver may only see these draws in the motion of a giver that acts at random.
 
     Args:
         seed: Seed of the run; None is 0.

@@ -139,7 +139,7 @@ def _smallest_motion(jacobian: Array, error: Array, damping: float) -> Array:
 def make_ik_stepper(urdf: Path, config: PandaConfig) -> IkStepper:
     """Create an IK solver of few iterations, which may not converge, for a Panda's model at the base pose of `config`.
 
-    It is PyBullet's where PyBullet is installed.
+    The solver is PyBullet's where PyBullet is installed.
 
     Raises:
         SimulationError: The model cannot be read.

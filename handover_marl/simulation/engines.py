@@ -140,7 +140,7 @@ def make_worlds(config: PhysicsConfig, count: int, backend: BatchBackend, arrays
 def make_distance_query(panda_urdf: Path, config: PandaConfig) -> DistanceQuery:
     """Create a query of distances between a Panda's model, at the base pose of `config`, and a hand.
 
-    It uses PyBullet, or MuJoCo if PyBullet is not installed; their distances agree to 0.5 mm.
+    The engine is PyBullet, or MuJoCo if PyBullet is not installed; the distances of both agree to 0.5 mm.
 
     Raises:
         SimulationError, DataFormatError: The model cannot be read.

@@ -164,8 +164,8 @@ def perturb_grasps(grasps: ValidatedGrasps, points: Array, hand: Spheres, sweep:
     """Return offset copies of stable grasps that keep clear of a person's hand and of the object.
 
     Points (k, 3) of the object's surface and the hand are in the object's frame; `sweep` is the length (m) of the
-    straight approach, on which the gripper must keep clear of the hand. The copies are not validated in simulation.
-    They are likely to hold, since the object is between the fingers, which close along the line of a validated grasp.
+    straight approach, on which the gripper must keep clear of the hand. The copies are not validated in simulation. The
+    copies are likely to hold, since the object is between the fingers, which close along the line of a validated grasp.
     """
     is_stable = grasps.success_rates > 0.0
     poses, rates = grasps.poses[is_stable], grasps.success_rates[is_stable]

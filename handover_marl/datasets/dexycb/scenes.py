@@ -44,7 +44,7 @@ def compute_object_trajectory(poses: Float32, tag: TagFrame) -> Float32:
 def compute_hand_trajectory(poses: Float32, tag: TagFrame, model: ManoModel, wrist: Float64, base: Float64) -> Float32:
     """Compute the joint trajectory (T, 51) float32 of the person's articulated hand in the tag's frame at 1 kHz.
 
-    It is base position (m), unwrapped base angles and finger angles (rad, intrinsic XYZ); zero without a hand. The
+    A row is base position (m), unwrapped base angles and finger angles (rad, intrinsic XYZ); zero without a hand. The
     keyframes `poses` (F, 51) float32 are in DexYCB's world frame: rotation vector (rad), 45 coefficients of the finger
     pose, translation (m); rows without a hand, at both ends only, are zero. `wrist` is the root joint (3,) at rest (m)
     for the hand's shape in this recording, and `base` the root joint of the articulated body.

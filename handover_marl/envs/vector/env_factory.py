@@ -72,8 +72,8 @@ class EnvFactory:
     def uses_arrays(self) -> bool:
         """Whether `ArrayEnvs` simulates the environments together.
 
-        This needs MuJoCo's physics, no wrappers but `EpisodeReturns`, `freeze` and `encode` in this order, and either
-        no camera, or "warp" with a camera that passes `check_device`.
+        Arrays need MuJoCo's physics, no wrappers but `EpisodeReturns`, `freeze` and `encode` in this order, and
+        either no camera, or "warp" with a camera that passes `check_device`.
         """
         if self.config.physics != MUJOCO or self.config.render_mode is not None:
             return False

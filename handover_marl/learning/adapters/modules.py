@@ -51,7 +51,7 @@ def _array(tensor: Any) -> Array:
 def dense_network_from_module(module: Any, activation: str | None = None) -> DenseNetwork:
     """Convert a PyTorch module of linear layers, in the order of registration, to a `DenseNetwork`.
 
-    Both are evaluated on random inputs. The comparison also finds the activation after the last layer.
+    Module and network are evaluated on random inputs. The comparison also finds the activation after the last layer.
 
     Args:
         module: Module from (n, n_inputs) to (n, n_outputs).

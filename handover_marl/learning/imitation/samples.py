@@ -1,7 +1,7 @@
 """Samples of a training by imitation: arrays that are generated in parallel processes and kept in files.
 
-The samples of a training are a named tuple of arrays (n, ...). A file has the samples of one key, such as a scene. It
-does not depend on the number of processes, so that an interrupted generation can be resumed.
+The samples of a training are a named tuple of arrays (n, ...). A file has the samples of one key, such as a scene. The
+content does not depend on the number of processes, so that an interrupted generation can be resumed.
 """
 
 from collections.abc import Callable, Sequence

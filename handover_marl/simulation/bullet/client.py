@@ -76,7 +76,7 @@ class BulletClient:
     """PyBullet's functions and constants, bound to one physics server.
 
     `mode` is PyBullet's DIRECT, or GUI for a window; a SimulationError says why the server did not start. The client
-    disconnects when it is garbage collected. It must not be copied: both copies would close the server.
+    disconnects when it is garbage collected. A client must not be copied: both copies would close the server.
     """
 
     _server = -1

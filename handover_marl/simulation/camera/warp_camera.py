@@ -3,8 +3,8 @@
 Images equal those of `ray_camera.RayCamera` to single precision. All arrays are PyTorch tensors on the device.
 
 The renderer of MuJoCo Warp 4.0 cannot be used: its context holds the meshes and textures of one compiled model and
-compiles a kernel of its own, while the worlds here get other scenes in every episode. It also has another light than
-PyBullet, and no images of hand and object alone behind the bodies that cover them.
+compiles a kernel of its own, while the worlds here get other scenes in every episode. That renderer also has another
+light than PyBullet, and cannot render the visible pixels of hand and object only.
 """
 
 from collections.abc import Sequence
