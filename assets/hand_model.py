@@ -172,7 +172,8 @@ class HandGeometry:
     def compute_link_poses(self, dof: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Compute positions (..., 16, 3) in m and rotations (..., 16, 3, 3) of palm and phalanges from joint positions.
 
-        `dof` (..., 51) are base position (m), base angles, 45 finger angles (rad); poses are in that position's frame.
+        `dof` (..., 51) are base position (m), base angles, 45 finger angles (rad); poses are in the frame of the base
+        position.
         """
         joints = np.asarray(dof, dtype=np.float64)
         rotations = matrices_from_euler(joints[..., 3:].reshape(*joints.shape[:-1], 16, 3))
@@ -188,7 +189,8 @@ class HandGeometry:
     def compute_keypoints(self, dof: npt.ArrayLike) -> FloatArray:
         """Compute the keypoints (..., 21, 3) in m of the hand from joint positions (..., 51), in their frame.
 
-        They are the wrist, then three joints and the fingertip of index, middle, little and ring finger and thumb.
+        The keypoints are the wrist, then three joints and the fingertip of index, middle, little and ring finger and
+        thumb.
         """
         positions, rotations = self.compute_link_poses(dof)
         directions = self.tips / np.linalg.norm(self.tips, axis=1, keepdims=True)

@@ -3,9 +3,9 @@
     python experiments/bench_speed.py --data-dir DIR
     python experiments/bench_speed.py --warp --sizes 256 1024 4096
 
-The measured environments alternate every few steps in one process, so that drift of the machine's speed
-cancels; ratios are computed within one run. With `--warp`, steps of vector environments on a device are measured
-against their number. Their first step, which compiles kernels, is not measured.
+The measured environments alternate every few steps in one process, so that drift of the machine's speed cancels; ratios
+are computed within one run. With `--warp`, the speed of vector environments on a device is measured for several numbers
+of environments. The first step, which compiles kernels, is not measured.
 """
 
 import time

@@ -1,4 +1,4 @@
-"""Measure how much a giver could help by choosing among random offers: the success of the best of K in each scene.
+"""Measure how much a giver could gain by the best of K random offers (ways to hold out the object) in each scene.
 
     python experiments/measure_headroom.py --data-dir DIR --receivers yang2021 omg --out results/headroom
 

@@ -65,7 +65,7 @@ def load_simulated_rates(args: Args) -> dict[str, tuple[float, str]]:
 
 
 def compute_rank_correlation(first: Sequence[float], second: Sequence[float]) -> tuple[float, float]:
-    """Return Spearman's rho of two lists of rates, and the share of orders of the second with at least this rho."""
+    """Return Spearman's rho of two lists of rates, and the share of permutations with at least this rho."""
 
     def compute_rho(permuted: npt.NDArray[np.float64]) -> float:
         return float(stats.spearmanr(first, permuted).statistic)

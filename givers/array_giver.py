@@ -40,7 +40,7 @@ class ArrayGiver(Giver):
         OptionError: An option is unknown, or its value is out of range.
 
     Attributes:
-        config: Configuration; that of the class is the default.
+        config: Configuration; default: the configuration of the class.
         state: Arrays (n, ...) of the episodes' state by name.
         rngs: Random generator of each episode.
         arrays: Creator of the arrays.
@@ -75,7 +75,7 @@ class ArrayGiver(Giver):
 
     @abstractmethod
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return the giver's actions (r, 8) in the episodes `rows`, from its observations (r, ...) in them."""
+        """Return the giver's actions (r, 8) in the episodes `rows`, given its observations (r, ...)."""
 
     def count_hold_steps(self, rows: AnyIndices) -> int:
         """Return the number of physics steps for which actions are held, the same in all episodes."""
@@ -86,7 +86,7 @@ class ArrayGiver(Giver):
         self.start(0, seed)
 
     def act(self, observation: Observation) -> Action:
-        """Return the action (8,) of a giver that acts in a single episode, for its observation in it."""
+        """Return the action (8,) for an observation of a giver that acts in a single episode."""
         action: Action = self.decide(ONLY_ROW, add_episode_axis(observation))[0]
         return action
 

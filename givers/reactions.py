@@ -124,7 +124,7 @@ class CooperativeGiver(ArrayGiver):
         self._pose_variation.reset(row)
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return actions (r, 8) for observations (r, ...): offers to the gripper, withdrawal after a release."""
+        """Return actions (r, 8): hold out the object towards the gripper, and withdraw the hand after the release."""
         xp, state = self.arrays.xp, self.state
         released = observation["released"][:, 0] != 0.0
         present = observation["hand_present"][:, 0] != 0.0

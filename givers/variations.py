@@ -227,7 +227,7 @@ class TiredGiver(ArrayGiver):
         self.state["phases"][row] = self.arrays.asarray(self.rngs[row].uniform(0.0, 2.0 * np.pi, 3))
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return the actions (r, 8) in the episodes `rows` with the displacements by present tremor and sinking."""
+        """Return the actions (r, 8) in the episodes `rows` with the present displacements by tremor and sinking."""
         xp, config, now = self.arrays.xp, self.config, widen(observation["time"][:, 0])
         since, holds = self.state["holding_since"][rows], observation["holding"][:, 0] != 0.0
         since = self.state["holding_since"][rows] = xp.where(xp.isnan(since) & holds, now, since)
@@ -307,10 +307,10 @@ class RecordingSpreadGiver(ArrayGiver):
     """Giver that deviates from its recording as other recordings of the same object do.
 
     In every episode, displacement and rotation of the handover pose and the playback speed are drawn from normal
-    distributions. Their standard deviations are those between the recordings of the object in DexYCB's s0 train
-    split (`recording_spread.json`; for other objects those over all objects). The limits of the giver's motion apply:
-    each component of the displacement is at most 0.3 m, that of the rotation vector at most 1 rad, and the motion is
-    at most twice as fast as recorded.
+    distributions. Their standard deviations are those between the recordings of the object in DexYCB's s0 train split
+    (`recording_spread.json`; for other objects between all recordings). The limits of the giver's motion apply: each
+    component is at most 0.3 m for the displacement and 1 rad for the rotation vector, and the motion is at most twice
+    as fast as recorded.
     """
 
     name = "recording_spread"

@@ -9,7 +9,7 @@ env = handover_marl.vector_env(64, "receiver", "replay")         many environmen
 env = gymnasium.make("HandoverMARL/Receiver-v0", setup="s0")     Gymnasium environment of the robot
 robot = handover_marl.as_receiver(network)                       function, network or file as a receiver
 report = handover_marl.benchmark(setup="s3")                     official protocol of HandoverSim
-table = handover_marl.strangers("yang2021", setup="s0")          partners that it has not met
+table = handover_marl.strangers("yang2021", setup="s0")          evaluation with unseen partners
 data = handover_marl.demonstrate(setup="s0", out="data/s0")      recorded episodes
 
 Public names are the names in `__all__`, here and in `handover_marl.givers`, `handover_marl.receivers`

@@ -80,10 +80,10 @@ def bounded(default: float | tuple[float, ...], low: float, high: float = math.i
 
 
 def check_config(name: str, value: object, config_class: type) -> None:
-    """Check that a value is a configuration of a class; `name` is that of the argument, for the error.
+    """Check that a value is a configuration of a class; `name` is the name of the argument, for the error.
 
     Raises:
-        OptionError: It is something else, such as the class itself.
+        OptionError: The value is not an instance of the class.
     """
     if not isinstance(value, config_class):
         raise OptionError(f"{name} must be a {config_class.__name__}, got {value!r}")
@@ -215,8 +215,8 @@ class PhysicsConfig(CheckedConfig):
 class GiverConfig(CheckedConfig):
     """Limits of the giver's deviation from the recorded motion.
 
-    Speeds and accelerations are below the peaks of 95 % of the reaches in DexYCB: wrist 0.86 m/s and
-    7.1 m/s^2, rotation 2.6 rad/s (measured on every tenth recording, smoothed over 0.1 s).
+    The default speeds and accelerations are lower than the peaks in 95 % of DexYCB's reaches, which exceed 0.86 m/s and
+    7.1 m/s^2 of the wrist and 2.6 rad/s of its rotation (every tenth recording, smoothed over 0.1 s).
 
     Attributes:
         displacement: Largest wrist displacement along each axis (m).

@@ -18,7 +18,7 @@ class DataFormatError(HandoverError, ValueError):
 
 
 class UnsafeFileError(DataFormatError):
-    """Error for a file that could run code: a pickle of other objects, or the name of a module; nothing was run."""
+    """Error for a file that could run code (a pickle of other objects, or a module's name); no code was run."""
 
 
 class UnknownNameError(HandoverError, ValueError):

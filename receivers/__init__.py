@@ -3,7 +3,7 @@
 `hold` and `random` are simple baselines, `yang2021` is the reactive baseline of HandoverSim, and `omg`,
 `omg_hand_aware` and `omg_unchecked_last` plan motions. `reactive` follows the true poses of object and hand; `vision`
 and `gaddpg` use point clouds of the wrist camera. `learned:FILE` is a trained policy. A new receiver is a subclass of
-`Receiver`; packages register theirs by name in the entry-point group `handover_marl.receivers`.
+`Receiver`; packages register receivers by name in the entry-point group `handover_marl.receivers`.
 """
 
 from handover_marl.datasets import Dataset
@@ -23,7 +23,7 @@ def list_available() -> tuple[str, ...]:
 def make(policy: PolicyLike, dataset: Dataset | None = None, trust: bool = False, setup: str | None = None) -> Policy:
     """Create a receiver, named as text such as "vision:wait=1" or given as a class, for a dataset's robot and objects.
 
-    The default dataset is that of `open_dataset()`. `trust` allows code in a policy file, and `setup` selects the
-    shipped weights. Errors are those of `handover_marl.givers.make`.
+    The default dataset is `open_dataset()`. `trust` allows code in a policy file, and `setup` selects the
+    shipped weights. Errors are as in `handover_marl.givers.make`.
     """
     return parse_policy("receiver", policy, trust).make(dataset, setup=setup)

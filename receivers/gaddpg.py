@@ -3,7 +3,7 @@
 The receiver waits at the start configuration and then decides every 0.15 s on the next pose of the Panda's hand link,
 from the object's point cloud in the wrist camera and the number of remaining decisions. When no decision remains or
 enough points are between the fingers, it closes them at the present pose and carries the object to the goal in a
-straight line. It uses neither the person's hand nor true poses.
+straight line. The receiver uses neither the person's hand nor true poses.
 
 Details of the authors' scripts that determine the results:
 
@@ -15,8 +15,8 @@ Details of the authors' scripts that determine the results:
   total of 20.
 - Before the first view the start configuration is commanded and no decision is counted.
 - Each decision makes one inverse kinematics query from the present joints, converged or not.
-- The end of the approach is checked in the last millisecond of each decision: more than 50 of 1,024
-  points between the fingers end it, repetitions included, whatever the pose of the hand link.
+- The end of the approach is checked in the last millisecond of each decision: more than 50 of 1,024 points between the
+  fingers, repetitions included, end it at any pose of the hand link.
 - An image is rendered at that time too, and discarded: rendering changes the broad phase of
   Bullet's collision detection, and without it the last bits of the arm's motion differ.
 - Waypoints to the goal are 0.03 m apart, the last one may be behind the goal, and IK is solved for
@@ -125,7 +125,7 @@ class PointCloudMemory:
         return points
 
     def is_object_caged(self, base_from_hand: Array) -> bool:
-        """Return whether over 50 of 1024 (repeated) object points are between the fingers at a hand link pose."""
+        """Return whether over 50 of 1024 (repeated) object points are between the fingers at a hand pose (4, 4)."""
         if self.cloud.shape[1] == 0:
             return False
         hand = _transform(_invert_rounded(base_from_hand), self.cloud)

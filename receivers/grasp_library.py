@@ -20,14 +20,14 @@ Array = npt.NDArray[np.float64]
 def load_gripper_poses(grasps: Callable[[str], Array | None], object_name: str) -> Array | None:
     """Return the known gripper poses (n, 7), xyz and xyzw, in the frame of an object class, or None; cached.
 
-    The function `grasps` is that of `PolicyContext`; its poses are those of the gripper, as grasp files define it.
+    The function `grasps` is the attribute of `PolicyContext`; its poses are poses of the gripper, as in grasp files.
     """
     matrices = grasps(object_name)
     return None if matrices is None or not len(matrices) else poses_from_matrices(matrices)
 
 
 def load_hand_poses(grasps: Callable[[str], Array | None], object_name: str) -> Array | None:
-    """Return the hand link's poses (n, 7), xyz and xyzw, at the known grasps of an object class, or None if unknown."""
+    """Return the hand link's poses (n, 7), xyz and xyzw, at an object class's known grasps in its frame, or None."""
     grippers = load_gripper_poses(grasps, object_name)
     return None if grippers is None else compose(grippers, np.array(GRIPPER_FROM_HAND))
 

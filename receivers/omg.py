@@ -1,8 +1,9 @@
 """OMG motion planner (Wang et al., RSS 2020) as a receiver, as in HandoverSim.
 
 The receiver waits until the object is held out, plans once to one of the object's grasps, executes the trajectory
-without feedback, closes the fingers and carries the object to the goal in a straight line. It uses the object's true
-pose. `omg` ignores the person's hand, `omg_hand_aware` keeps clear of the hand. All variants need the extra `planning`.
+without feedback, closes the fingers and carries the object to the goal in a straight line. The receiver uses the
+object's true pose. `omg` ignores the person's hand, `omg_hand_aware` keeps clear of the hand. All variants need the
+extra `planning`.
 """
 
 import logging

@@ -1,4 +1,4 @@
-"""Receivers that wait, approach, close the fingers and retreat for given times."""
+"""Base class of receivers that wait, approach, close the fingers and retreat for fixed times."""
 
 import math
 from abc import abstractmethod

@@ -2,7 +2,7 @@
 
 Every 0.1 s the receiver ranks the object's known grasps by the distance of their standoff poses from the pose selected
 last and from a preferred pose. It moves to the best reachable standoff, from there straight to the grasp, closes the
-fingers and carries the object to the goal. It uses the object's true pose and ignores the person's hand.
+fingers and carries the object to the goal. The receiver uses the object's true pose and ignores the person's hand.
 """
 
 import copy
@@ -48,8 +48,8 @@ class YangConfig(CheckedConfig):
         close_time: Time for which the fingers close (s).
         close_decision_period: Time between decisions while the fingers close; longer ones are faster in batches (s).
         standoff: (7,) standoff pose (quaternion xyzw) of the hand link, in the frame of the hand link at the grasp.
-        preferred_pose: (7,) world pose of the hand link near which a standoff has a low cost.
-        rotation_weight: Weight of rotations relative to squared distances in a standoff's cost.
+        preferred_pose: (7,) world pose (quaternion xyzw) of the hand link near which a standoff has a low cost.
+        rotation_weight: Weight of rotations relative to squared distances in a standoff's cost (m^2).
         max_candidates: Maximum number of grasps that are checked for reachability.
         region_width: Half width, for a standoff at the grasp, of the region around the line from
             standoff to grasp in which the hand link moves straight to the grasp (m).
@@ -105,7 +105,8 @@ class Yang2021Receiver(Receiver):
 
     Attributes:
         phase: Phase (n,) of each episode, a `YangPhase`.
-        selected: World poses (n, 2, 7) of the hand link at the selected standoffs and grasps; nan without selection.
+        selected: World poses (n, 2, 7; xyzw) of the hand link at the selected standoffs and grasps; nan without
+            selection.
     """
 
     name = "yang2021"

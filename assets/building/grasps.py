@@ -1,4 +1,4 @@
-"""Grasps of the library's objects: human ones, robot grasps that hold their object in simulation, and validations.
+"""Grasps of the library's objects: human grasps, robot grasps that hold the object in simulation, and validations.
 
 For every object, side and subject, human grasps are drawn all over the object, and a varied set of them is selected
 whose wrist distances are distributed as in DexYCB.
@@ -146,7 +146,7 @@ def make_robot_grasps(
 ) -> tuple[Array, int]:
     """Sample grasps of an object and keep up to `count` that hold it while it is shaken in simulation.
 
-    The most different ones are simulated first. The result depends on `seed` but not on the number of workers.
+    The most different grasps are simulated first. The result depends on `seed` but not on the number of workers.
 
     Returns:
         Gripper poses (n, 4, 4) in the object's frame (m), and the number of candidates that were simulated.

@@ -26,7 +26,7 @@ class Args(EvaluationArgs):
 
     Attributes:
         split: Split of the setup: train, val or test.
-        scenes: Scene numbers; default: all of the split.
+        scenes: Scene numbers; default: all scenes of the split.
     """
 
     split: str = "val"

@@ -56,7 +56,7 @@ class LeRobotEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self._image = np.zeros(inner["wrist_rgb"].shape, np.uint8)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Any]:
-        """Start an episode in a scene that the seed draws, or in that of `options={"scene_id": number}`."""
+        """Start an episode in a scene that the seed draws, or in the scene `options={"scene_id": number}`."""
         super().reset(seed=seed)
         observation, info = self._env.reset(seed=seed, options=options)
         self.task_description = describe_task(self._handover.object_names[0])

@@ -3,7 +3,7 @@
     cd experiments/harnesses
     handover-marl benchmark --setup s0 --receiver lerobot_receiver:LeRobotReceiver:folder=CHECKPOINT/pretrained_model
 
-It needs LeRobot in the same environment.
+LeRobot must be installed in the same virtual environment.
 """
 
 from collections.abc import Sequence
@@ -47,7 +47,7 @@ class LeRobotReceiver(Receiver):
         self._task = describe_task(object_names[0])
 
     def reset(self, seed: int | None = None) -> None:
-        """Start an episode; the seed is that of the policy's random numbers."""
+        """Start an episode; `seed` seeds the policy's random numbers."""
         torch.manual_seed(0 if seed is None else seed % 2**63)
         self._policy.reset()
 

@@ -1,10 +1,11 @@
-"""Benchmark for vla-eval, the evaluation harness of vision-language-action models: one task a scene.
+"""Benchmark for vla-eval, the evaluation harness of vision-language-action models: one task per scene.
 
     cd experiments/harnesses
     PYTHONPATH=. vla-eval run --config vla_eval.yaml
 
 A model gets the image of the wrist camera, the joints of the robot and the task in words. It returns a motion of the
-Panda's hand link in its own frame and the gripper, see `handover_marl.learning.receiver_schemes.CartesianDeltaScheme`.
+Panda's hand link in the link's own frame, and the opening of the gripper, see
+`handover_marl.learning.receiver_schemes.CartesianDeltaScheme`.
 """
 
 from typing import Any
@@ -83,12 +84,12 @@ class HandoverBenchmark(StepBenchmark):
         }
 
     def get_step_result(self, step_result: StepResult) -> dict[str, Any]:
-        """Return the outcomes of the episode as numbers, 1 for those that happened."""
+        """Return the outcomes of the episode as numbers: 1 for an outcome that happened, else 0."""
         status = EpisodeStatus(step_result.info["status"])
         return {"success": status == EpisodeStatus.SUCCESS, "contact": float(EpisodeStatus.HUMAN_CONTACT in status)}
 
     def get_metric_keys(self) -> dict[str, str]:
-        """Return the metrics of which vla-eval reports the mean."""
+        """Return the metrics whose means vla-eval reports."""
         return {"success": "mean", "contact": "mean"}
 
     def get_metadata(self) -> dict[str, Any]:

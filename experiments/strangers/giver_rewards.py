@@ -18,7 +18,7 @@ class PreferenceReward:
     """Reward of the giver in the step that completes the handover: 1 plus weighted events of the episode.
 
     Events are measured in the last step in which the person holds the object, picked up and not released.
-    They have a sign, so that a giver near the recorded motion learns from the first update.
+    Measured events have a sign, so that a giver near the recorded motion learns from the first update.
 
     Attributes:
         away: Weight of the wrist's displacement from the recording, away from the gripper's first position (m).

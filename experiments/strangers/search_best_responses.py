@@ -44,8 +44,8 @@ class Args(EvaluationArgs):
         out: Folder of the results.
         population: Name of a shipped population, or path of a file.
         partners: Families of the population: train, test or all.
-        givers: Givers with options in place of those of the population, such as replay; population draws another
-            one in each episode. All of them have the same draws.
+        givers: Givers with options in place of the population's, such as replay; the giver population is another one in
+            each episode. All givers have the same draws.
         searches: Number of searches for each giver.
         draws: Number of settings that a search compares.
         draw_scenes: Number of scenes of the train split on which the draws are compared.

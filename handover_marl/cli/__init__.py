@@ -16,8 +16,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: Command and options; default: the command-line arguments of this process.
 
     Returns:
-        Exit status: 0 for success, 1 if `doctor` or `verify` found a fault or `import` no scene, 2 after an error
-        message, 130 after Ctrl-C, 141 if the reader of the output closed it.
+        Exit status: 0 for success, 1 if `doctor` or `verify` found a fault or `import` imported no scene, 2 after an
+        error message, 130 after Ctrl-C, 141 if the reader of the output closed it.
     """
     arguments = sys.argv[1:] if arguments is None else arguments
     prepare_streams()

@@ -84,7 +84,7 @@ def run_verify(
 
     Args:
         folder: Result folder, written by this library or by HandoverSim.
-        scenes: Scene numbers to verify, e.g. 209,214; default: all that have a result.
+        scenes: Scene numbers to verify, e.g. 209,214; default: all scenes with a result.
         giver: The person's policy; default: the registered policy that the folder names.
     """
     from handover_marl.evaluation.verification import COLUMNS, verify
@@ -164,7 +164,7 @@ def run_strangers_table(
 
     Args:
         folders: Output folders of `strangers` with the same partners, one for each method and split; all as NAME=DIR
-            with the name of the method, or all as DIR, which are named by the label of the policy.
+            with the name of the method, or all as DIR, for which the label of the policy is the name.
         heat_map: Picture to write, with the success rate of every method with every partner.
     """
     from handover_marl.evaluation.strangers.protocol import make_leaderboard
@@ -198,7 +198,7 @@ def run_strangers_references(
 
     Args:
         folders: Result folders, or folders that contain some.
-        out: File of references to update; default: that of the population.
+        out: File of references to update; default: the population's file.
     """
     from handover_marl.evaluation.strangers.protocol import update_references
 

@@ -84,7 +84,7 @@ def run_crossplay(
     """Evaluate every giver with every receiver and print the success rates.
 
     Args:
-        givers: Comma-separated givers; the rates of the others are compared with those of the first.
+        givers: Comma-separated givers; the first is the baseline to which the rates of the others are compared.
         receivers: Comma-separated receivers.
     """
     from handover_marl.evaluation.crossplay import crossplay
@@ -107,7 +107,7 @@ def run_strangers(
     execution: ExecutionArguments = _EXECUTION,
     tables: TableArguments = _TABLES,
 ) -> None:
-    """Evaluate a receiver, or a giver, with partners of a population that it has not met.
+    """Evaluate a receiver, or a giver, with unseen partners from a population.
 
     Args:
         receiver: Receiver to evaluate, or comma-separated trainings of one method.
@@ -144,7 +144,7 @@ def run_demonstrate(
     Args:
         obs_mode: Observation mode of the recording, independent of the receiver's: state, pointcloud, rgbd,
             full_pointcloud, scene_pointcloud, or state and one of them (state+rgbd).
-        keep: Episodes to store: all, with their outcomes, or success.
+        keep: Episodes to store: all (with their outcomes), or only those with success.
         fps: Frames per second, 1 to 1000, to record a constant rate; default: every decision, for exact replay.
     """
     from handover_marl.evaluation.demonstrations.record import demonstrate

@@ -86,8 +86,9 @@ def add_motion(
         side: Hand with which the person gives the object.
         hand: Number of the shipped model of a person's hand, or none for a scene without a hand.
         others: Classes of the other objects, whose poses are in the file.
-        frame: Frame of the poses: world, table, or its pose in the world.
-        object_offset: Pose of the object's frame in the recorded frame, such as that of its markers (m, quaternion).
+        frame: Frame of the poses: world, table, or the pose of another frame in the world.
+        object_offset: Pose of the object's frame in the recorded frame, such as the frame of its markers (m,
+            quaternion).
         wrist_offset: Pose of the wrist's frame in the recorded frame.
         length: Unit of positions.
         time: Unit of times.

@@ -137,7 +137,7 @@ class Dataset(ABC):
 
     @property
     def source_folder(self) -> Path | None:
-        """Folder to pass as `data_dir` with the name, to open the data set again; None if the name suffices."""
+        """Folder with which `open_dataset(name, source_folder)` opens the data set again; None if the name suffices."""
         return None
 
     @property

@@ -192,7 +192,7 @@ class OfficialDataset(Dataset):
         return require_file(self._assets / object_name / "model_normalized.urdf")
 
     def load_grasps(self, object_name: str) -> npt.NDArray[np.float64] | None:
-        """Load robot grasps of a YCB class: gripper poses (n, 4, 4) in its frame (m); None for one without grasps."""
+        """Load robot grasps of a YCB class: gripper poses (n, 4, 4) in its frame (m), or None if it has none."""
         path = self._find_grasp_file(object_name)
         return None if path is None else self._load_grasps(path)
 
@@ -220,7 +220,7 @@ class OfficialDataset(Dataset):
         return digest.hexdigest()[:16]
 
     def describe_models(self, scene_id: int) -> str:
-        """Return a note on models, e.g. "MANO hand, stand-in grasps": kind of hand, and files not of HandoverSim."""
+        """Return a note on models, e.g. "MANO hand, stand-in grasps": kind of hand, and files of other origin."""
         info = self.load_info(scene_id)
         parts = [self._origin(f"{name}/model_normalized_convex.obj") for name in info.object_names]
         hand = self._hand_origin(f"{info.subject}_{info.side}")

@@ -109,7 +109,7 @@ def is_stand_in_file(path: Path) -> bool:
 def describe_origins(kind: str, *origins: FileOrigin) -> list[str]:
     """Return a note on files of a kind, e.g. "grasps", from the origin of each file, as a list of one or no text.
 
-    It is "stand-in KIND" if a file is a stand-in, else "KIND of unknown origin" if an origin is unknown.
+    The note is "stand-in KIND" if a file is a stand-in, else "KIND of unknown origin" if an origin is unknown.
     """
     if FileOrigin.STAND_IN in origins:
         return [f"stand-in {kind}"]

@@ -150,7 +150,7 @@ class DataLocation:
         return cls(_resolve_path(data_dir), _resolve_path(environment))
 
     def resolve(self) -> str | None:
-        """Return the folder to use on this machine; None for that of `HANDOVER_MARL_DATA`, or if there is none.
+        """Return the folder to use on this machine; None means the folder in `HANDOVER_MARL_DATA`, or no folder.
 
         The order of preference is: `argument` if it exists on this machine, `HANDOVER_MARL_DATA` of
         this machine, `environment`.

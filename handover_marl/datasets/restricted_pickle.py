@@ -1,6 +1,6 @@
 """Unpickling of arrays from untrusted files: grasp files of HandoverSim and hand models of MANO.
 
-Such a pickle can use the functions and classes in `ARRAY_NAMES`, and those that the caller allows, no others.
+Such a pickle can use only the functions and classes in `ARRAY_NAMES` and those that the caller allows.
 """
 
 import functools

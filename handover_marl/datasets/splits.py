@@ -70,8 +70,8 @@ def list_split_scenes(setup: str, split: str, find_side: Callable[[int], str]) -
     Args:
         setup: "s0" (no held-out factor), "s1" (unseen subjects), "s2" (unseen handedness) or "s3" (unseen objects).
         split: "train", "val" or "test".
-        find_side: Function from a scene number to "right" or "left". It is only called for trial 4
-            of setup s2; the hand of the other trials is prescribed.
+        find_side: Function from a scene number to "right" or "left". The function is only called for trial 4 of setup
+            s2; the hand of the other trials is prescribed.
 
     Raises:
         UnknownNameError: The setup or the split does not exist.
@@ -95,12 +95,12 @@ def _is_in_split(scene: int, selected: _Filter, find_side: Callable[[int], str])
 
 
 def get_prescribed_side(scene: int) -> Literal["left", "right"]:
-    """Return the giver's hand in a scene by its number; the trial must be in `PRESCRIBED_SIDE_TRIALS`."""
+    """Return the hand that DexYCB prescribed to the giver of a scene; only for trials in `PRESCRIBED_SIDE_TRIALS`."""
     return "right" if scene % 5 < 2 else "left"
 
 
 def choose_scenes(split_ids: tuple[int, ...], scenes: Iterable[int] | None, where: str) -> tuple[int, ...]:
-    """Return the chosen `scenes` (None: all) among the numbers of a split, in ascending order without repetitions.
+    """Return the chosen `scenes` (None for all) among the numbers of a split, in ascending order without repetitions.
 
     `where` is the name of the split, for errors.
 

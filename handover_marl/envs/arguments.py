@@ -66,12 +66,13 @@ def check_scene_option(options: Any, scene_ids: Sequence[int], split_name: str) 
     """Return the scene number that the options of `reset` choose, or None if they choose none.
 
     Args:
-        options: Options of `reset`. Unknown keys, which API checkers pass, cause a warning; those of a scene an error.
+        options: Options of `reset`. Unknown keys, which API checkers pass, cause a warning, but an error if "scene" is
+            in the key.
         scene_ids: Scene numbers to choose from, ascending.
         split_name: Name of the set of these scenes, for the error message.
 
     Raises:
-        OptionError: `options` is not a mapping, or has another key of a scene than `scene_id`.
+        OptionError: `options` is not a mapping, or has a key with "scene" in it other than `scene_id`.
         SceneError: The scene is not among `scene_ids`.
     """
     if not isinstance(options, Mapping):

@@ -32,7 +32,7 @@ CustomReward: TypeAlias = Callable[[Transition], Mapping[str, Mapping[str, float
 def declare_terms(giver: tuple[str, ...] = (), receiver: tuple[str, ...] = ()) -> Callable[[_Function], _Function]:
     """Return a decorator that declares the names of the terms that a user-defined reward returns.
 
-    Without it, the names are those of a first call with a transition in which nothing moves. Declared
+    Without the decorator, the names are taken from a first call with a transition in which nothing moves. Declared
     terms that a call does not return are 0.
 
     Args:

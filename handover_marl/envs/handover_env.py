@@ -281,10 +281,10 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         return self._episode.capture_wrist_camera()
 
     def choose_scene(self, options: dict[str, Any] | None, rng: np.random.Generator) -> int:
-        """Return the number of the scene that the options of `reset` choose, or else of one drawn from `rng`.
+        """Return the scene number that the options of `reset` choose; without a choice, draw one from `rng`.
 
         Raises:
-            OptionError: The options are no mapping, or have another key of a scene than `scene_id`.
+            OptionError: The options are no mapping, or have a key with "scene" in it other than `scene_id`.
             SceneError: The scene is not in the split.
         """
         scene_id = check_scene_option(options or {}, self.scene_ids, f"{self.config.setup} {self.config.split}")
@@ -360,8 +360,8 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
 def draw_seeds(rng: np.random.Generator, config: WorldConfig) -> tuple[int, int]:
     """Return 32-bit seeds of the noise on the robot's initial joints and of the wrist camera.
 
-    Only the first is drawn from `rng`, and only if there is noise, else it is 0. The other is spawned, which does not
-    change the numbers that `rng` draws.
+    The first is drawn from `rng` if there is noise on the joints, else it is 0. The second is spawned from `rng`, which
+    does not change the numbers that `rng` draws.
     """
     robot_seed = int(rng.integers(2**32)) if config.initial_joint_noise else 0
     seeds = rng.bit_generator.seed_seq.spawn(1)  # type: ignore[attr-defined]

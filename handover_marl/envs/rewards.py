@@ -250,9 +250,9 @@ class StepData:
 
     Attributes:
         status: Bits (r,) of `EpisodeStatus`.
-        read_state: Function from whether forces are needed to arrays (r, ...): the giver's observation, `grasped` (r,),
-            whether both fingers of the robot touch the object, and `object_force` and `hand_force` (r,), the normal
-            forces between robot and object, and between robot and human hand (N).
+        read_state: Function that takes whether forces are needed, and returns arrays (r, ...): the giver's observation,
+            `grasped` (r,), whether both fingers of the robot touch the object, and `object_force` and `hand_force`
+            (r,), the normal forces between robot and object, and between robot and human hand (N).
         read_transitions: Function that returns the r transitions.
     """
 

@@ -40,16 +40,16 @@ _HALF = OBJECT_DOF // 2
 
 
 class Recordings(Protocol):
-    """Interface of the recordings of n givers: `rows` (r,) are givers, `frames` (r, k) frame numbers of each."""
+    """Interface of the recordings of n givers; `rows` (r,) are indices of givers, `frames` (r, k) recorded frames."""
 
     def set_scene(self, row: int, scene: Scene) -> None:
         """Choose the scene that the giver with index `row` plays."""
 
     def read(self, rows: AnyIndices, frames: AnyArray) -> ReferenceMotion:
-        """Return copies (r, k, ...) of joint positions of hand and objects in frames (r, k) of the givers `rows`."""
+        """Return copies (r, k, ...) of the joint positions of hand and objects in k recorded frames of each giver."""
 
     def read_poses(self, rows: AnyIndices, frames: AnyArray) -> AnyArray:
-        """Return the poses (r, k, 2, 7; xyz, xyzw) of wrist and target object in frames (r, k) of the givers `rows`."""
+        """Return the world poses (r, k, 2, 7; xyz, xyzw) of wrist and target object in k recorded frames per giver."""
 
 
 class NumpyRecordings:
@@ -70,7 +70,7 @@ class NumpyRecordings:
         self._poses[row] = compute_recorded_poses(scene)
 
     def read(self, rows: Indices, frames: Indices) -> ReferenceMotion:
-        """Return copies (r, k, ...) of joint positions of hand and objects in frames (r, k) of the givers `rows`."""
+        """Return copies (r, k, ...) of the joint positions of hand and objects in k recorded frames of each giver."""
         shape = frames.shape
         hand, present = np.empty((*shape, HAND_DOF), dtype=np.float32), np.empty(shape, dtype=bool)
         objects = np.zeros((*shape, MAX_OBJECTS, OBJECT_DOF), dtype=np.float32)
@@ -83,7 +83,7 @@ class NumpyRecordings:
         return ReferenceMotion(objects, hand, present)
 
     def read_poses(self, rows: Indices, frames: Indices) -> AnyArray:
-        """Return the poses (r, k, 2, 7; xyz, xyzw) of wrist and target object in frames (r, k) of the givers `rows`."""
+        """Return the world poses (r, k, 2, 7; xyz, xyzw) of wrist and target object in k recorded frames per giver."""
         poses = np.empty((*frames.shape, 2, 7), dtype=np.float32)
         for index, row in enumerate(rows.tolist()):
             poses[index] = self._poses[row][frames[index]]
@@ -118,12 +118,12 @@ class TensorRecordings:
         self._firsts[row] = self._first_by_scene[key]
 
     def read(self, rows: AnyArray, frames: AnyArray) -> ReferenceMotion:
-        """Return copies (r, k, ...) of joint positions of hand and objects in frames (r, k) of the givers `rows`."""
+        """Return copies (r, k, ...) of the joint positions of hand and objects in k recorded frames of each giver."""
         places = self._firsts[rows][:, None] + frames
         return ReferenceMotion(self._objects.rows[places], self._hand.rows[places], self._present.rows[places])
 
     def read_poses(self, rows: AnyArray, frames: AnyArray) -> AnyArray:
-        """Return the poses (r, k, 2, 7; xyz, xyzw) of wrist and target object in frames (r, k) of the givers `rows`."""
+        """Return the world poses (r, k, 2, 7; xyz, xyzw) of wrist and target object in k recorded frames per giver."""
         return self._poses.rows[self._firsts[rows][:, None] + frames]
 
 
@@ -167,11 +167,11 @@ class PlannedMotion:
 
 
 class GiverMotion:
-    """Playback of a recorded scene and of the deviations from it for each of n givers; it stays at the last frame.
+    """Playback of a recorded scene with deviations for each of n givers; it stays at the last frame.
 
     `plan` returns the motion of the next physics steps, `commit` applies as many of them as were simulated. Hand and
     held object deviate together, rigidly about the wrist, and only after the object has been picked up, because until
-    then the hand must reach it. The motion of a giver does not depend on the others.
+    then the hand must reach it. The motion of a giver does not depend on the other givers.
 
     Args:
         count: Number n of givers.

@@ -176,7 +176,8 @@ class EpisodeAgent:
     """Policy that acts for one agent in one episode at its own control period, and the action that it holds.
 
     The policy's seed is derived from the seed of the run: `derive_giver_seed` for a giver, `derive_receiver_seed` for a
-    receiver, which starts at its first decision. For a receiver, the random draws of the wrist camera are seeded, too.
+    receiver, whose `reset` is called at its first decision. For a receiver, the random draws of the wrist camera are
+    seeded, too.
 
     Args:
         episode: Episode at the start of a scene.
@@ -304,7 +305,7 @@ def derive_giver_seed(seed: int | None, scene_id: int) -> int:
     """Derive the seed of a giver: a hash of the run's seed and the scene number.
 
     Nothing that a receiver observes may be drawn with this seed, since the receiver could find the scene number by
-    trying all numbers. It may only see these draws in the motion of a giver that acts at random.
+    trying all numbers. A receiver may only see these draws in the motion of a giver that acts at random.
 
     Args:
         seed: Seed of the run; None is 0.
@@ -316,7 +317,7 @@ def derive_giver_seed(seed: int | None, scene_id: int) -> int:
 def derive_robot_seed(seed: int | None, scene: Scene) -> int:
     """Derive the seed of the robot's initial joint positions: a hash of the run's seed and the objects' first poses.
 
-    The joint positions are observed, so they do not depend on the scene number, but on what is observed with them.
+    Receivers observe the joint positions, so their seed depends only on observed values, not on the scene number.
 
     Args:
         seed: Seed of the run; None is 0.

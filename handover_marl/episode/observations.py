@@ -157,7 +157,7 @@ def observe_giver_motion(motion: GiverMotion, rows: AnyIndices) -> Observation:
 
 
 def add_episode_axis(observation: Observation) -> Observation:
-    """Return the observation of one episode as arrays (1, ...), for code that takes those of many episodes."""
+    """Return the observation of one episode as arrays (1, ...), for code that takes observations of many episodes."""
     return {key: values[None] for key, values in observation.items()}
 
 

@@ -1,6 +1,6 @@
 """HandoverSim's rules of release and status (Chao et al., ICRA 2022, Sec. IV-B, C), for one episode and for many.
 
-`Referee` judges an episode after each step; `judge_steps` judges many steps of many episodes on arrays, equally.
+`Referee` judges one episode after each step; `judge_steps` applies the same rules to many steps of many episodes.
 """
 
 import math

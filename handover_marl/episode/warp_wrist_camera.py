@@ -22,8 +22,8 @@ _CHUNK = 64
 class WarpWristCamera:
     """Wrist cameras of n episodes without noise; images are rendered by ray casting with Warp.
 
-    Observations are those of `WristCamera` with the renderer "rays" to single precision, but clouds of more than 1024
-    points have another random subset of the points.
+    Observations equal those of `WristCamera` with the renderer "rays" to single precision, except that the random
+    subset is another one for clouds of more than 1024 points.
 
     Args:
         obs_mode: Observation mode of the receiver, with point clouds or images.

@@ -74,10 +74,10 @@ class ExecutionConfig(PoolConfig):
         shard: Part of the scenes to evaluate, e.g. 3/16 for the third of 16; `merge` combines the parts' folders.
         out: Folder for results and reports; an interrupted evaluation resumes there.
         progress: Show a progress bar on stderr.
-        trust: Run code in policy files (learned:FILE), and import modules that they or a population name.
+        trust: Run code in policy files (learned:FILE), and import modules that policy files or a population name.
         fresh: Delete the results in the output folder instead of resuming.
-        replays: Episodes with a 3D replay page: none, failed or all. Episodes that are finished already are simulated
-            again for it, and must end with the same outcome.
+        replays: Episodes with a 3D replay page: none, failed or all. Finished episodes without a page are simulated
+            again, and must end with the same outcome.
         traces: Write the time series of each episode (positions, speeds, distance, forces) as CSV files.
 
     Raises:
@@ -117,7 +117,7 @@ def build_configs(
         setup: Setup, None for the dataset's first, or a whole configuration, which no option may contradict.
         options: Fields of both configurations by name.
         execution: Execution configuration, or None to build it from `options`.
-        arguments: Further fields of `EvaluationConfig`, ignored beside a whole configuration.
+        arguments: Further fields of `EvaluationConfig`, ignored if `setup` is a whole configuration.
 
     Raises:
         TypeError: Unknown option.

@@ -175,7 +175,8 @@ def crossplay(
     """Evaluate every giver with every receiver.
 
     Args:
-        givers: Givers, each as for `evaluate_pair`; the rates of the others are compared with those of the first.
+        givers: Givers, each as for `evaluate_pair`; the first one is the baseline to which the rates of the others are
+            compared.
         receivers: Receivers, each as for `benchmark`.
         setup: Official setup, "s0" to "s3", or one of other data; or a whole `handover_marl.EvaluationConfig`, whose
             policies are ignored.

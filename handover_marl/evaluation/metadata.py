@@ -132,7 +132,7 @@ class ResultMetadata:
 def format_world_label(config: WorldConfig) -> str:
     """Return "official" for the official world and rules, else their differences.
 
-    These are a hash of the configuration, the noise of the robot's initial joint positions, or both.
+    The differences are a hash of the configuration, the noise of the robot's initial joint positions, or both.
     """
     if config == OFFICIAL_CONFIG:
         return OFFICIAL_WORLD

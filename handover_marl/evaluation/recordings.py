@@ -50,7 +50,7 @@ class ForceRecorder(EpisodeCallback):
             self._largest = (0.0, 0.0)
 
     def on_end(self, episode: Episode) -> None:
-        """Include forces after the last sample, such as those of a contact that ended the episode, in this sample."""
+        """Add forces after the last sample, such as those of a contact that ended the episode, to the last sample."""
         self.forces[-1] = max(self.forces[-1][0], self._largest[0]), max(self.forces[-1][1], self._largest[1])
 
 

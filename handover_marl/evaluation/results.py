@@ -6,7 +6,7 @@ library hold the other fields of `EpisodeResult` too, which official readers ign
 
 An episode file is JSON without the actions. The key `metadata` holds the identity of the evaluation, `common` the
 values that all episodes share, `columns` the keys of the other values, and `episodes` one row for each scene. Keys and
-units are those of the episodes in `report.json`.
+units are as in the episodes of `report.json`.
 """
 
 import json
@@ -195,7 +195,7 @@ class ResultFolder(EpisodeWriter):
     Args:
         path: Path of the folder; created with its parents if missing.
         metadata: Identity of the evaluation.
-        config: Content of its `config.yaml`; default: that of an evaluation with the official world and rules.
+        config: Content of its `config.yaml`; default: the content for an evaluation with the official world and rules.
         fresh: Whether to delete the results of an earlier evaluation first.
 
     Raises:

@@ -81,7 +81,7 @@ class Verification(TabularResult):
     Attributes:
         metadata: Identity of the evaluation, as the folder states it.
         scenes: Numbers of the scenes that were simulated again, in the split's order.
-        differences: Values that differ: those of the scenes in their order, then those of the folder.
+        differences: Values that differ, first in the scenes in their order, then in the folder's reports and policies.
         n_unreported: Number of results in the folder that its report does not contain.
     """
 
@@ -101,7 +101,7 @@ class Verification(TabularResult):
         return tuple(dict.fromkeys(each.scene_id for each in self.differences if each.scene_id is not None))
 
     def build_sections(self) -> list[str | ReportTable]:
-        """Build the description of what was verified, the table of differences and the conclusion."""
+        """Build the description of the verified folder, the table of differences and the conclusion."""
         metadata, n = self.metadata, len(self.scenes)
         n_changed, n_absent = len(self.changed_scenes), self.metadata.split_size - n
         n_folder = sum(each.scene_id is None for each in self.differences)
@@ -151,7 +151,7 @@ def verify(
     Args:
         folder: Result folder, of this library or of HandoverSim; nothing in it is changed.
         data_dir: Data folder in HandoverSim's layout; default: the environment variable HANDOVER_MARL_DATA.
-        scenes: Scene numbers to verify; default: all that have a result.
+        scenes: Scene numbers to verify; default: all scenes with a result.
         giver: The person's policy; default: the registered policy that the folder names.
         world_config: World and rules; must be the same as in the evaluation. Default: the official ones, with the
             noise of the robot's initial joint positions that the folder states.
@@ -246,8 +246,8 @@ def compare_results(stored: EpisodeResult, simulated: EpisodeResult, same_versio
 def check_reports(path: Path) -> tuple[list[Difference], int]:
     """Compare the reports in a result folder with reports that are computed from its result files.
 
-    The differences in `report.json` are summed up in one. The report may have fewer scenes than the folder, because it
-    contains those of the last run.
+    All differences in `report.json` are reported as one. The report may have fewer scenes than the folder, because it
+    contains only the scenes of the last run.
 
     Args:
         path: Result folder. Reports of other versions are not compared. A folder without a report has no differences.

@@ -47,7 +47,7 @@ def create_exclusively(path: Path, content: bytes | str) -> None:
 
 
 def remove_stale_temporaries(folder: Path) -> None:
-    """Remove the temporary files of writers that were killed: those that are older than a day.
+    """Remove temporary files that are older than a day, because their writers were killed.
 
     Args:
         folder: Folder of the temporary files; it need not exist.

@@ -89,7 +89,8 @@ class PoolConfig:
     """Configuration of a worker pool.
 
     Attributes:
-        workers: Number of worker processes; default: one per core. Stored with planning times, which are wall clock.
+        workers: Number of worker processes; default: one per core. Results state it, since planning times are
+            wall-clock times.
         backend: Location of the workers: local (this machine) or ray (nodes of a Ray cluster).
         ray_address: Address of the Ray cluster; default: RAY_ADDRESS, else a local Ray instance, started if needed.
     """
@@ -127,7 +128,7 @@ def check_boolean(name: str, value: object) -> None:
 
 
 def is_installed(module: str) -> bool:
-    """Check whether a top-level module is installed; one in the working directory, of the same name, does not count."""
+    """Check whether a top-level module is installed; a module in the working directory does not count."""
     spec = importlib.util.find_spec(module)
     # Folders without __init__.py have no origin.
     return spec is not None and spec.origin is not None and Path.cwd() not in Path(spec.origin).parents[:2]

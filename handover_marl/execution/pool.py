@@ -257,7 +257,7 @@ def run_ray_task(
         search_path: Import path of the main process; folders that exist here are searched last.
         job_id: Unique label of the job.
         pickled_job: Pair (open_worker, describe) of `Pool.map_unordered`, pickled by `pickle_by_value`.
-        pickled_task: Task, pickled likewise.
+        pickled_task: Task, pickled by `pickle_by_value`.
     """
     installed = get_installed_versions()
     different = [f"{name} {installed[name]} there, {wanted} here" for name, wanted in versions.items()

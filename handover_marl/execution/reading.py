@@ -27,7 +27,7 @@ _MAX_ARCHIVE_OVERHEAD = 1_000_000  # bytes that an archive may have beyond its c
 def check_plain_file(path: Path, largest: int = MAX_FILE_BYTES) -> int:
     """Check that a path is a plain file that is not too large, and return its size (bytes).
 
-    For readers that open paths themselves.
+    Call it before code that opens the path itself.
 
     Args:
         path: File, or symbolic link to a file.
@@ -53,7 +53,7 @@ def read_plain_file(path: Path, largest: int = MAX_FILE_BYTES) -> bytes:
 
 
 def check_archive(source: Path | bytes, largest: int) -> None:
-    """Check that a zip archive unpacks to at most `largest` bytes, by the sizes of its files that it states.
+    """Check that a zip archive unpacks to at most `largest` bytes, by the file sizes that the archive states.
 
     Args:
         source: Archive file, or its content.
@@ -61,7 +61,7 @@ def check_archive(source: Path | bytes, largest: int) -> None:
 
     Raises:
         ValueError: The file is not a plain file, or too large.
-        Exception: It is not an archive.
+        Exception: The source is not an archive.
         OSError: The file cannot be opened.
     """
     if isinstance(source, Path):
@@ -125,7 +125,7 @@ class _LoaderWithoutAliases(yaml.SafeLoader):
 def report_damage(path: Path, what: str, advice: str) -> Iterator[None]:
     """Turn exceptions of a reader in a `with` block into errors that name file, kind (`what`) and remedy (`advice`).
 
-    Readers of damaged files raise exceptions of many types. Errors that name the file already pass.
+    Readers of damaged files raise exceptions of many types. Errors that already name the file are not changed.
 
     Raises:
         DataNotFoundError: The file does not exist.

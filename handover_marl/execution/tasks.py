@@ -46,7 +46,7 @@ def run_pickled_task(job_id: str, pickled_job: bytes, pickled_task: bytes) -> by
     Args:
         job_id: Unique label of the job; the resources of another job are freed.
         pickled_job: Job, the pair (open_worker, describe), pickled by `pickle_by_value`.
-        pickled_task: Task, pickled likewise.
+        pickled_task: Task, pickled by `pickle_by_value`.
     """
     state, description = _ProcessState, "a task"
     try:

@@ -113,7 +113,7 @@ class ArmKinematics:
     def compute_hand_jacobians(self, joints: AnyArray) -> tuple[AnyArray, AnyArray]:
         """Compute base-frame Jacobians and rotations of the hand link at arm joints (n, 7) in rad.
 
-        The result of each configuration is the same to the last bit, whatever the other configurations are.
+        The result of a configuration does not depend on the other configurations, to the last bit.
 
         Returns:
             Jacobians (n, 6, 7): linear rows (m/rad), then angular; and rotations (n, 3, 3) from hand to base frame.
@@ -139,7 +139,7 @@ class ArmKinematics:
 
 
 class IndependentArmKinematics(ArmKinematics):
-    """Kinematics of a Panda whose result for a configuration is the same to the last bit, whatever the others are.
+    """Kinematics of a Panda whose result for a configuration does not depend on the others, to the last bit.
 
     Arguments and errors are those of `ArmKinematics`, which is slower for few configurations and faster for hundreds.
     """

@@ -1,6 +1,7 @@
 """Cache files of arrays computed from object models, in the user's cache folder.
 
-Several processes may share the folder: files are written atomically, and the arrays of unreadable files computed again.
+Several processes may share the folder: files are written atomically, and arrays are computed again if a file is
+unreadable.
 """
 
 import hashlib
@@ -28,7 +29,7 @@ _log = logging.getLogger(__name__)
 def get_cache_folder(kind: str) -> Path:
     """Return the folder `handover_marl/KIND` in the user's cache folder, which is XDG_CACHE_HOME or else ~/.cache.
 
-    For users without a home folder, as in some containers, it is in the folder for temporary files.
+    For users without a home folder, as in some containers, `handover_marl/KIND` is in the folder for temporary files.
     """
     folder = os.environ.get("XDG_CACHE_HOME")
     try:

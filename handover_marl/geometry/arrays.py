@@ -1,6 +1,6 @@
 """Array namespaces: the same code for NumPy arrays and for PyTorch tensors on any device.
 
-A namespace is that of the Python array API standard: NumPy itself, or PyTorch as `array-api-compat` wraps it.
+A namespace has the functions of the Python array API standard: NumPy, or PyTorch as `array-api-compat` wraps it.
 Functions that take arrays use the namespace of their arguments; objects with arrays as state get an `ArrayFactory`.
 """
 
@@ -172,7 +172,7 @@ class ArrayFactory:
         return self.xp.arange(count, dtype=self.xp.int64, device=self.device)
 
     def asarray(self, values: Any, dtype: str | None = None) -> AnyArray:
-        """Return values as an array of a number type, None for their own; tensors share no memory with NumPy arrays."""
+        """Return values as an array of a number type, by default theirs; tensors share no memory with NumPy arrays."""
         own = values if is_tensor(values) else np.asarray(values)
         is_copied = None if is_tensor(own) or self.xp is np else True
         number_type = None if dtype is None else self._get_dtype(dtype)

@@ -251,7 +251,7 @@ def compute_link_trajectory(
 
 
 class TreeBank:
-    """Kinematic trees on a device of models that have the same joints; links may have different sizes.
+    """Kinematic trees of several models, stored on one device; joints are the same, links may have different sizes.
 
     Args:
         noun: Plural of the models' kind, for errors, e.g. "hands".
@@ -280,7 +280,8 @@ class TreeBank:
     def compute_link_frames(self, numbers: AnyArray, joints: AnyArray) -> tuple[AnyArray, AnyArray]:
         """Compute base-frame origins (r, k, L, 3) in m and rotations (r, k, L, 3, 3) of the links of r models.
 
-        `numbers` (r,) are from `add`; `joints` (r, k, d) are k configurations of each model (rad, m), float64.
+        `numbers` (r,) are the models' numbers that `add` returned; `joints` (r, k, d) are k configurations of each
+        model (rad, m), float64.
         """
         xp = self._arrays.xp
         constants = TreeConstants(*(bank.rows[numbers][:, None] for bank in self._constants))

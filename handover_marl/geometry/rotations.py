@@ -207,7 +207,7 @@ def _euler_solutions(angles: AnyArray) -> AnyArray:
 def find_nearest_euler_branch(angles: AnyArray, previous: AnyArray) -> tuple[AnyArray, AnyArray]:
     """Select the XYZ Euler angles of the rotations `angles` (n, 3) that are nearest to `previous` (n, 3) (rad).
 
-    Returns which triple is nearest (n,), 0 for the given or 1 for the other one, and the turns (n, 3) to add to it.
+    Returns which triple is nearest (n,), 0 for the given or 1 for the other, and the full turns (n, 3) to add to it.
     """
     xp = get_namespace(angles)
     solutions = _euler_solutions(angles)

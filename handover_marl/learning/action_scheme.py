@@ -134,7 +134,7 @@ class InvertibleScheme(ArrayScheme):
 
     @abstractmethod
     def outputs_from_actions(self, actions: AnyArray, observation: Observation) -> AnyArray:
-        """Return the outputs (r, size) in [-1, 1] that are decoded to the actions nearest to given ones (r, 8 or 9).
+        """Return the outputs (r, size) in [-1, 1] whose decoded actions are nearest to given actions (r, 8 or 9).
 
         `observation` has arrays (r, ...) of the agent's observations.
         """

@@ -73,7 +73,7 @@ def list_features(agent: str) -> tuple[str, ...]:
 
 
 def count_features(agent: str, name: str) -> int:
-    """Return the number of an agent's built-in features with this name; user-defined ones: `make_features(...).size`.
+    """Return how many numbers an agent's built-in features `name` have; for others use `make_features(...).size`.
 
     Raises:
         UnknownNameError: The agent is unknown or has no features of that name.

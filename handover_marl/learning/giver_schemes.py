@@ -84,7 +84,7 @@ class HandoverPoseScheme(InvertibleScheme):
         self.pose_variation.reset(row)
 
     def needs_outputs(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return for the r episodes `rows` whether the recorded hand is about to stop, without outputs so far, (r,)."""
+        """Return (r,) whether the recorded hand is about to stop and the episode has had no outputs yet."""
         xp, coming = self._arrays.xp, observation["replay_wrist_poses"][:, 2:, :3]
         moves = xp.astype(xp.max(xp.abs(coming - coming[:, -1:]), axis=(1, 2)), xp.float64)
         is_arriving = moves < self.arrival_tolerance

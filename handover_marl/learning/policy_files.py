@@ -63,7 +63,7 @@ def read_policy(path: Path, agent: str, trust: bool = False, **given: Any) -> tu
         path: Policy file.
         agent: Agent that the policy must control, "giver" or "receiver".
         trust: Whether code in the file may run, and modules that it names may be imported.
-        **given: Fields of `PolicySpec` that replace those in the file; None keeps the latter, see `complete_spec`.
+        **given: Fields of `PolicySpec` that replace the fields in the file; None keeps a field, see `complete_spec`.
 
     Returns:
         Encoding, network from features to outputs, and unique label of the policy in result files: file name and a
@@ -110,7 +110,7 @@ def complete_spec(
 
     Raises:
         DataFormatError: The policy was trained for the other agent.
-        OptionError: A field is missing or out of range, or the control period differs from that of the training.
+        OptionError: A field is missing or out of range, or the control period differs from the one in training.
     """
     if agent is not None and recorded.get("agent", agent) != agent:
         raise DataFormatError(f"{where}: policy must be for the {agent}, got one for the {recorded['agent']}")

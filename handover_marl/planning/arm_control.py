@@ -186,9 +186,10 @@ class ArmServo:
         return velocity / excess if excess > 1.0 else velocity
 
     def limit_acceleration(self, velocity: Array, acceleration: float | None = None) -> Array:
-        """Clip wanted joint velocities (..., 7) in rad/s to those that can be reached in one period.
+        """Clip wanted joint velocities (..., 7) in rad/s to velocities that can be reached in one period.
 
-        They differ from the last command by at most the period times `acceleration` (rad/s^2; None: as configured).
+        The result differs from the last command by at most the period times `acceleration` (rad/s^2; None: as
+        configured).
         """
         # Each joint is clipped on its own: with one common factor, a joint that reverses would make
         # the other joints overshoot.
@@ -198,7 +199,8 @@ class ArmServo:
     def compute_motor_targets(self, joints: Array, velocity: Array, acceleration: float | None = None) -> Array:
         """Return motor position targets (7,) in rad that make the arm, now at joints (7,), move at a velocity (7,).
 
-        The velocity (rad/s) is clipped by `limit_acceleration` first, and is stored as that of the last command.
+        The velocity (rad/s) is clipped by `limit_acceleration` first, and is stored as the velocity of the last
+        command.
         """
         self.velocity = self.limit_acceleration(velocity, acceleration)
         lead = 1.0 / (1.0 - (1.0 - self._gain) ** (self.period / self._time_step))

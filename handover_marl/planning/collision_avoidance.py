@@ -96,8 +96,8 @@ def enforce_separation(
 ) -> Array:
     """Change wanted joint velocities (7,) in rad/s at joints (7,) as little as needed to keep clear of all bodies.
 
-    The most important body is the last. If `leaving` is set, the robot only has to avoid coming closer to a body
-    whose clearance is already too small, as when it withdraws from a person's hand.
+    If bodies conflict, the last one has priority. If `leaving` is set, the robot only has to avoid coming closer to a
+    body whose clearance is already too small, as when it withdraws from a person's hand.
     """
     hand, dampers = arm.compute_hand_pose(joints), []
     for body in bodies:

@@ -67,7 +67,7 @@ MIN_HAND_CLEARANCE = 0.02
 
 
 def is_usable_grasp(object_name: str, grasps: Array) -> npt.NDArray[np.bool_]:
-    """Return a mask (n,) of the grasps, hand link poses (n, 7) in the object's frame, that OMG uses.
+    """Return a mask (n,) of the grasps, hand link poses (n, 7; xyzw) in the object's frame, that OMG uses.
 
     For some objects, by their YCB class names, grasps that slip are excluded.
     """
@@ -152,7 +152,8 @@ class GoalSetBuilder:
         """Return the goals at which the hand link reaches one of the grasps, poses (n, 7; xyzw) in the base frame.
 
         The arm must not collide with `objects` at a standoff. Goals with too little clearance to the person's hand,
-        `person`, are excluded if others exist; of similar goals, that with most clearance is kept. Order is random.
+        `person`, are excluded if others exist; of similar goals, the one with the largest clearance is kept. The goals
+        are in random order.
         """
         goals = self._add_wrist_flips(self._solve_tails(grasps))
         goals = goals.select(self._is_rotated_little(goals.goals))

@@ -129,7 +129,7 @@ class HandTracker:
         """Return the world pose (7,), a time `ahead` (s) from now, of a frame that is fixed to the person's hand.
 
         `pose` (7,) is the frame's pose at an earlier time, and `points` (k, 3) the `reference_points` at that time.
-        The frame moves as the hand since then and, ahead, at the hand's velocity; without a hand it stays at `pose`.
+        The frame moves with the hand until now, and then at the hand's velocity; without a hand it stays at `pose`.
         """
         if points.shape != self.points.shape or not len(points):
             return pose

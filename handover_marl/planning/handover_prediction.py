@@ -145,7 +145,7 @@ class HandoverPosePredictor:
     def predict_point_twist(self, point: Array, ahead: float) -> tuple[Array, Array]:
         """Predict the velocities, linear (3,) in m/s and angular (3,) in rad/s, of a world point (3,) on the object.
 
-        They are those in the middle of the coming period, which lasts `ahead` (s).
+        The velocities are predicted for the middle of the coming period, which lasts `ahead` (s).
         """
         since = 0.5 * (self._step + ahead) if np.isfinite(self._step) else 0.0
         velocity = self.latest_velocity + since * self.acceleration

@@ -110,8 +110,8 @@ def _is_within(error: Array, tolerance: float | tuple[float, float]) -> npt.NDAr
 def compute_pose_error(origins: Array, hand_rotations: Array, positions: Array, rotations: Array) -> Array:
     """Return the differences (6, n) of wanted from present hand poses: translation (m), then rotation vector (rad).
 
-    `origins` (3, n) and `hand_rotations` (3, 3, n) are present ones, of `LinkFrames`; `positions` (3, n) and
-    `rotations` (n, 3, 3) are wanted.
+    The present poses are `origins` (3, n) and `hand_rotations` (3, 3, n), as in `LinkFrames`; the wanted poses are
+    `positions` (3, n) and `rotations` (n, 3, 3).
     """
     difference = np.einsum("nij,kjn->ikn", rotations, hand_rotations)
     twice_sine = np.stack(
@@ -139,7 +139,7 @@ def _smallest_motion(jacobian: Array, error: Array, damping: float) -> Array:
 def make_ik_stepper(urdf: Path, config: PandaConfig) -> IkStepper:
     """Create an IK solver of few iterations, which may not converge, for a Panda's model at the base pose of `config`.
 
-    It is PyBullet's where PyBullet is installed.
+    The solver is PyBullet's where PyBullet is installed.
 
     Raises:
         SimulationError: The model cannot be read.
@@ -188,7 +188,7 @@ class ThreadIkSolver(IkSolver):
         self._find()
 
     def solve_many(self, starts: Joints, positions: Array, orientations: Array | None = None) -> Array:
-        """Return arm joints (n, 7) in rad, nan where IK fails, for starts (n, 9) and world poses of the hand link."""
+        """Return arm joints (n, 7) in rad, nan where IK fails, for starts (n, 9) and hand link poses (world, xyzw)."""
         parts = [part for part in (starts[:, :ARM_DOF], positions, orientations) if part is not None]
         keys = [row.tobytes() for row in np.concatenate(parts, axis=1, dtype=np.float64)]
         rows = np.flatnonzero([key not in self._unsolved for key in keys])
@@ -219,10 +219,10 @@ class ThreadIkSolver(IkSolver):
 
 
 class PandaIkSolver(IkSolver):
-    """Inverse kinematics of a Panda without PyBullet, from whose solutions these differ slightly.
+    """Inverse kinematics of a Panda without PyBullet; the solutions differ slightly from PyBullet's.
 
     Joint limits are ignored, as by `BulletIKSolver` and `BulletIKStep`. Solutions do not depend on
-    earlier queries, nor on the others of a batch, to the last bit.
+    earlier queries, nor on other queries of a batch, to the last bit.
 
     Args:
         urdf: Model of the Panda.
@@ -239,7 +239,7 @@ class PandaIkSolver(IkSolver):
         self._reach = ReachabilityBound(self._base)
 
     def solve_many(self, starts: Joints, positions: Array, orientations: Array | None = None) -> Array:
-        """Return arm joints (n, 7) in rad, nan where IK fails, for starts (n, 9) and world poses of the hand link."""
+        """Return arm joints (n, 7) in rad, nan where IK fails, for starts (n, 9) and hand link poses (world, xyzw)."""
         found = np.full((len(starts), ARM_DOF), np.nan)
         rows = np.flatnonzero(~self._reach.is_unreachable(positions, orientations, _REACH_DISTANCE, _REACH_ANGLE))
         if len(rows):

@@ -108,7 +108,7 @@ def sample_surface_spheres(vertices: Array, faces: npt.NDArray[np.int_], count: 
 
 
 def compute_gripper_corners(hands: Array) -> Array:
-    """Return the corners (n, 32, 3) in m of four boxes around the open gripper at hand link poses (n, 7), with xyzw."""
+    """Return the corners (n, 32, 3) of four boxes around the open gripper, in the frame of the hand poses (n, 7)."""
     signs = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
     local = (GRIPPER_BOX_CENTERS[:, None] + signs * GRIPPER_BOX_HALF_SIZES[:, None]).reshape(-1, 3)
     rotations = Rotation.from_quat(hands[:, 3:]).as_matrix()
@@ -145,7 +145,7 @@ def compute_grasp_clearances(hands: Array, spheres: Spheres, sweep: float = 0.0,
 
 
 def count_points_between_pads(hands: Array, points: Array) -> npt.NDArray[np.int_]:
-    """Return how many (n,) of the points (k, 3) are between the open pads at hand link poses (n, 7), with xyzw."""
+    """Return how many (n,) of the points (k, 3) are between the open finger pads at hand link poses (n, 7)."""
     local = _points_in_hands(hands, points)
     return np.asarray((np.abs(local - _PAD_REGION[0]) < _PAD_REGION[1]).all(axis=-1).sum(axis=1))
 

@@ -119,7 +119,7 @@ class ObstacleCost:
         """Return the obstacle costs (g,) of straight joint paths from one start (7,) to goals (g, 7).
 
         The cost of a path is the sum of proximity cost times workspace speed over all body points at `count`
-        points between start and goal; at those in the mask `tails` (g, count) only obstacles with `in_tail` count.
+        points between start and goal; at points in the mask `tails` (g, count), only obstacles with `in_tail` count.
         """
         shares = np.arange(count + 1) / (count + 1)
         line = start + shares[:, None, None] * (goals - start)

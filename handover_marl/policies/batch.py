@@ -1,7 +1,7 @@
 """Policies that act in many episodes at once, as one policy on arrays or as one policy per episode.
 
-Policies on arrays work with NumPy arrays or with PyTorch tensors; `HostPolicyBatch` lets others act in episodes whose
-arrays are tensors.
+Policies on arrays work with NumPy arrays or with PyTorch tensors; `HostPolicyBatch` lets policies on NumPy arrays act
+in episodes whose arrays are tensors.
 """
 
 from abc import ABC, abstractmethod
@@ -45,7 +45,7 @@ class PolicyBatch(ABC):
 
         Args:
             rows: Indices (r,) of the episodes.
-            observe: Function that returns the observations of some episodes; called for those with a decision.
+            observe: Function that returns the observations of some episodes; called for episodes with a decision.
             steps: Physics steps (r,) since the start of each episode.
 
         Raises:
@@ -120,7 +120,7 @@ class ArrayPolicy(Protocol):
         """Start the episode with index `row`, whose random numbers `seed` determines."""
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return the agent's actions (r, ...) in the episodes `rows`, from its observations (r, ...) in them."""
+        """Return the agent's actions (r, ...) in the episodes `rows`, given its observations (r, ...)."""
 
     def count_hold_steps(self, rows: AnyIndices) -> int | AnyIntegers:
         """Return for how many physics steps the actions in the episodes `rows` are held, (r,) or one number for all."""

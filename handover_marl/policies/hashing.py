@@ -1,8 +1,8 @@
 """Hashes of policies, so that results of different policies are never mixed.
 
 A hash covers the library's version, the source files that define a policy, and the values, arrays and files that it
-holds. It is equal in every process, also in a script with the policy's code. Code without a source file, as at a prompt
-or in a notebook, gets another hash every time, so that its results can be neither resumed nor verified.
+holds. The hash is equal in every process, also in a script with the policy's code. Code without a source file, as at a
+prompt or in a notebook, gets another hash every time, so that its results can be neither resumed nor verified.
 """
 
 import contextlib
@@ -64,7 +64,7 @@ def hash_package(name: str) -> str:
     """Return the version of a top-level package that is installed, or a hash of the Python files of another package.
 
     For a module outside a package, the hash covers its file, and the modules and packages in the same folder that it
-    imports, directly or not. It is empty for the standard library, and a random number for code without a file.
+    imports, directly or not. The result is empty for the standard library, and a random number for code without a file.
     """
     package, folders = sys.modules.get(name), _find_folders(name)
     if _is_installed(name):
@@ -84,7 +84,7 @@ def hash_package(name: str) -> str:
 def find_package(function: object) -> str:
     """Return the top-level package from which a function, class or object is imported by other processes.
 
-    It is empty if the code is pickled instead, such as the code of a script.
+    The name is empty if the code is pickled instead, such as the code of a script.
     """
     if isinstance(function, functools.partial):
         return find_package(function.func)

@@ -134,8 +134,8 @@ class Policy(ABC):
     def prepare(self, object_names: Sequence[str]) -> None:  # noqa: B027
         """Prepare for episodes with objects of these classes; may be called several times before `reset`.
 
-        Slow computations whose results are cached, such as grasp validation, belong here. They must
-        depend on the objects only.
+        Slow computations whose results are cached, such as grasp validation, belong here. The results must depend on
+        the objects only.
 
         Args:
             object_names: Class names such as "025_mug", the object that is handed over first.
@@ -332,7 +332,7 @@ def override_options(config: _Config, options: Mapping[str, object]) -> _Config:
             sections after the name of the section, such as `approach_standoff`.
 
     Raises:
-        UnknownNameError: A name is not that of a number in the configuration.
+        UnknownNameError: The configuration has no number of a name.
         OptionError: A value is not a finite number.
     """
     values = {field.name: getattr(config, field.name) for field in fields(config)}  # type: ignore[arg-type]

@@ -219,7 +219,7 @@ class PopulationPolicy(Policy):
         members: Policies of the members.
 
     Raises:
-        OptionError: No member of the split acts on the state.
+        OptionError: All members of the split need the wrist camera.
         HandoverError: The same errors as `load_population`.
     """
 

@@ -26,7 +26,7 @@ class DistanceQuery(ABC):
     def measure(self, hand_urdf: Path, robot: list[float], hand: list[float], max_distance: float) -> float:
         """Measure the smallest distance between the surfaces of robot and human hand (m).
 
-        It is at most `max_distance`, and not above 0 if robot and hand overlap.
+        The result is at most `max_distance`, and not above 0 if robot and hand overlap.
 
         Args:
             hand_urdf: Model of the human hand.
@@ -43,9 +43,9 @@ class DistanceQuery(ABC):
 class ClearanceMonitor:
     """Calculator of the smallest distance between a moving Panda and a moving human hand.
 
-    Distances are between collision shapes. They are measured at few times only: spheres around the
-    links rule out most times, and bounds on the motion of the links rule out times near a measured
-    time. The distance query has a simulation of its own, so it does not change the world's state.
+    Distances are between collision shapes, and are measured at few times only: spheres around the links rule out
+    most times, and bounds on the motion of the links rule out times near a measured time. The distance query has a
+    simulation of its own, so it does not change the world's state.
 
     Args:
         panda_urdf: Model of the robot.

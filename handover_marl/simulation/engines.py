@@ -140,7 +140,7 @@ def make_worlds(config: PhysicsConfig, count: int, backend: BatchBackend, arrays
 def make_distance_query(panda_urdf: Path, config: PandaConfig) -> DistanceQuery:
     """Create a query of distances between a Panda's model, at the base pose of `config`, and a hand.
 
-    It uses PyBullet, or MuJoCo if PyBullet is not installed; their distances agree to 0.5 mm.
+    The engine is PyBullet, or MuJoCo if PyBullet is not installed; the distances of both agree to 0.5 mm.
 
     Raises:
         SimulationError, DataFormatError: The model cannot be read.
@@ -160,7 +160,7 @@ def make_grasp_validator(
     """Create a validator of grasps of one object in MuJoCo, whatever the physics of the scenes.
 
     The object has HandoverSim's chain of six joints. `config` has the conditions of a valid grasp, None the defaults.
-    The hand link and the fingers are those of the Panda `panda_urdf`.
+    The hand link and the fingers are taken from the Panda `panda_urdf`.
 
     Raises:
         OptionError: MuJoCo is not installed.

@@ -20,8 +20,8 @@ class RobotMotionBounds:
     """Bounds on the motion of a Panda's links, from spheres around their collision shapes.
 
     A joint moves straight to its target, by a fixed ratio of its error in every step. While its motor is too weak to
-    reverse it, it may also move on at its speed. So no point of the arm moves farther than the sum of both
-    distances over all joints, each times the reach of the links that the joint carries.
+    reverse it, the joint may also move on at its speed. So no point of the arm moves farther than the sum over all
+    joints of both motions times the reach of the links that the joint carries.
 
     Args:
         tree: Kinematic tree of the robot.
@@ -64,7 +64,7 @@ class RobotMotionBounds:
 
         Args:
             joints: Current positions (..., 9) and velocities (..., 9) of the robot (rad, m).
-            link_poses: Current world poses (..., L, 7) of `links`.
+            link_poses: Current world poses (..., L, 7; quaternions xyzw) of `links`.
             robot_target: Joint targets (..., 9) of all n coming steps (rad, m).
             centers: Centers (..., n, m, 3) of spheres around the bodies after each step (m); inf for absent bodies.
             radii: Radii (..., m) of the spheres around the bodies (m).

@@ -22,11 +22,11 @@ WRIST_LINK = 6
 
 @dataclass(frozen=True, eq=False)
 class ReferenceMotion:
-    """Joint targets of human hand and objects in each of n physics steps, of one world or of r (world frame, m, rad).
+    """Joint targets of human hand and objects in n physics steps, of one world or of r worlds (world frame, m, rad).
 
     Attributes:
-        objects: Joint targets (n, m, 6) of the m objects in the scene's order: xyz, Euler angles, float32; or of r
-            worlds (r, n, 5, 6), zeros for no object.
+        objects: Joint targets (n, m, 6) of one world's m objects in the scene's order: xyz, Euler angles, float32; or
+            (r, n, 5, 6) of r worlds, with zeros for no object.
         hand: Joint targets (n, 51) or (r, n, 51) of the hand, float32.
         hand_present: Whether the hand is in the scene in each step, (n,) or (r, n).
     """
@@ -121,7 +121,7 @@ TrackedReference = tuple[BodyTrajectory, npt.NDArray[np.float32], npt.NDArray[np
 
 
 def track_references(references: Sequence[TrackedReference]) -> None:
-    """Replace the trajectories of bodies by those under new reference motions, which follow their current ones.
+    """Compute and store the trajectories of bodies under new reference motions, which follow their current ones.
 
     The trajectories do not depend on how steps are divided into calls, nor on the other bodies.
     """

@@ -9,7 +9,7 @@ from handover_marl.geometry.arrays import ArrayFactory
 
 
 class WarpDevice:
-    """Device that Warp and PyTorch use in turn, on a GPU in one stream.
+    """Device that Warp and PyTorch share; on a GPU, both work in the same stream.
 
     Args:
         arrays: Creator of tensors on the device.
@@ -23,7 +23,7 @@ class WarpDevice:
         self.stream = arrays.xp.cuda.Stream(arrays.device) if arrays.device.type == "cuda" else None
 
     def synchronize(self) -> None:
-        """Wait until the device has done all work in the stream, so that what it reads may be replaced."""
+        """Wait until the device has done all work in the stream, so that the arrays that it reads may be replaced."""
         if self.stream is not None:
             self.stream.synchronize()
 

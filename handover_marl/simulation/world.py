@@ -158,7 +158,7 @@ class WorldState(NamedTuple):
     ) -> "WorldState":
         """Return the state of one world from the readings of its bodies, with the shapes and frames of the attributes.
 
-        `robot_joints` are positions and velocities, `object_poses` (m, 7) those of m objects. `hand_joints` and
+        `robot_joints` are positions and velocities, `object_poses` (m, 7) are the poses of m objects. `hand_joints` and
         `hand_keypoints` are None if there is no human hand.
         """
         poses = np.zeros((MAX_OBJECTS, 7), dtype=np.float32)
@@ -232,7 +232,8 @@ class World(ABC):
         """Return the contacts of robot, hand and objects in the last physics step.
 
         Args:
-            released: Whether the human has released the object; contacts with supports are read only then.
+            released: Whether the human has released the object; its contacts with table and other objects are read only
+                then.
         """
 
     @abstractmethod

@@ -61,7 +61,7 @@ class Worlds(ABC):
 
     @abstractmethod
     def read_contacts(self, row: int, released: bool) -> Contacts:
-        """Return the contacts of world `row` in the last step; those of its target with supports only if `released`."""
+        """Return the last step's contacts of world `row`; the target's with table and objects only if `released`."""
 
     @abstractmethod
     def close(self) -> None:
@@ -115,7 +115,7 @@ class HostWorlds(Worlds):
         )
 
     def read_contacts(self, row: int, released: bool) -> Contacts:
-        """Return the contacts of world `row` in the last step; those of its target with supports only if `released`."""
+        """Return the last step's contacts of world `row`; the target's with table and objects only if `released`."""
         return self._worlds[row].read_contacts(released)
 
     def close(self) -> None:

@@ -283,7 +283,7 @@ def draw_heat_map(
     Args:
         rates: Success rates (0 to 1), by row and column.
         rows: Names of the rows; long names are wrapped and cut off.
-        columns: Names of the columns; likewise.
+        columns: Names of the columns; long names are wrapped and cut off.
         title: Title of the figure.
         axis_labels: Titles of the vertical axis (rows) and of the horizontal axis (columns).
     """

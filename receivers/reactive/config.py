@@ -95,7 +95,7 @@ class ReactiveConfig(CheckedConfig):
     Attributes:
         period: Control period (s).
         near_period: Control period while something moves near the gripper (s).
-        min_lift: Distance from its first position at which an object counts as handed over (m).
+        min_lift: Distance from its first position above which an object counts as lifted (m).
         n_surface_spheres: Number of spheres that approximate an object.
         surface_radius: Radius of the spheres that approximate an object (m).
         n_surface_points: Number of random points on an object's surface from which finger contacts
@@ -127,7 +127,7 @@ class ReactiveConfig(CheckedConfig):
 
 
 def apply_risk(config: ReactiveConfig, risk: float) -> ReactiveConfig:
-    """Return a copy of a configuration for a risk of 0.5, changed for another trade-off of success rate and speed.
+    """Return a copy of `config`, which is for a risk of 0.5, for another trade-off of success rate and speed.
 
     The risk is a number from 0 (approaches slowly, and only objects at rest) to 1 (fastest).
 

@@ -119,8 +119,8 @@ def collect_surface_points(vertices: Array, faces: npt.NDArray[np.int_], count: 
 def compute_pad_margins(poses: Array, points: Array) -> Array:
     """Return the distances (n,) in m of the contacts of n grasps from the tip and edges of the finger pads.
 
-    The smaller distance of the two pads is returned, 0 if a pad touches nothing. Distances from the edges count
-    twice, since fingers are narrow. Poses (n, 7) of the hand link and surface points (k, 3) are in the object's frame.
+    The smaller distance of the two pads is returned, 0 if a pad touches nothing. Distances from the edges count twice,
+    since fingers are narrow. Poses (n, 7; xyzw) of the hand link and surface points (k, 3) are in the object's frame.
     """
     margins = np.zeros(len(poses))
     for number, pose in enumerate(poses):

@@ -151,8 +151,8 @@ def tilt_grasps(known: Array, config: GraspPreparationConfig) -> Array:
 def compute_grasp_distances(pose: Array, poses: Array, rotation_weight: float, depth: float = 0.0) -> Array:
     """Return the distances (n,) in m of grasp poses (n, 7) (quaternion xyzw) to one grasp pose (7,) in the same frame.
 
-    A distance is that of the points at `depth` (m) on the hand link's z axis, such as `PAD_DISTANCE` for the middle
-    between the pads, plus `rotation_weight` (m/rad) times the rotation angle.
+    A distance is the distance of the points at `depth` (m) on the hand link's z axis, such as `PAD_DISTANCE` for the
+    middle between the pads, plus `rotation_weight` (m/rad) times the rotation angle.
     """
     point = np.array([0.0, 0.0, depth, 0.0, 0.0, 0.0, 1.0])
     translations = np.linalg.norm(compose(poses, point)[:, :3] - compose(pose, point)[:3], axis=1)
@@ -164,8 +164,8 @@ def perturb_grasps(grasps: ValidatedGrasps, points: Array, hand: Spheres, sweep:
     """Return offset copies of stable grasps that keep clear of a person's hand and of the object.
 
     Points (k, 3) of the object's surface and the hand are in the object's frame; `sweep` is the length (m) of the
-    straight approach, on which the gripper must keep clear of the hand. The copies are not validated in simulation.
-    They are likely to hold, since the object is between the fingers, which close along the line of a validated grasp.
+    straight approach, on which the gripper must keep clear of the hand. The copies are not validated in simulation. The
+    copies are likely to hold, since the object is between the fingers, which close along the line of a validated grasp.
     """
     is_stable = grasps.success_rates > 0.0
     poses, rates = grasps.poses[is_stable], grasps.success_rates[is_stable]

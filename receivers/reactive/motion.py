@@ -97,7 +97,7 @@ class MotionController:
     def catch(self, velocity: Array, acceleration: float) -> Action:
         """Return the action with joint velocities (7,) (rad/s) and closing fingers for an object that falls.
 
-        It keeps clear of the person's hand; `acceleration` is the maximum joint acceleration (rad/s^2).
+        The action keeps clear of the person's hand; `acceleration` is the maximum joint acceleration (rad/s^2).
         """
         return self.move_closed(self._separate(velocity, self._config.grasp_hand_clearance), acceleration)
 

@@ -69,7 +69,7 @@ class SceneEstimate(ABC):
         self.gripper_pose = self._arm.compute_hand_pose(self.arm_joints)
 
     def set_obstacles(self, spheres: Spheres) -> None:
-        """Set `obstacles` to those of the spheres, given in the world, that are within reach of the arm."""
+        """Set `obstacles` to the spheres, given in the world, that are within reach of the arm."""
         reachable = spheres.select_within(self._arm.base[:3], _OBSTACLE_REACH)
         self.obstacles = reachable if len(reachable.radii) else None
 
@@ -83,14 +83,14 @@ class SceneEstimate(ABC):
     def predict_point_twist(self, point: Array, ahead: float) -> tuple[Array, Array]:
         """Predict linear (m/s) and angular velocity (rad/s) of a point (3,) that moves with the object, in the world.
 
-        The velocities are those in the middle of the coming control period, `ahead` (s) long.
+        The velocities are predicted for the middle of the coming control period, `ahead` (s) long.
         """
         return self.motion.predict_point_twist(point, ahead)
 
     def predict_bodies(self, handover_pose: Array, surface: Spheres) -> Spheres:
         """Return spheres in the world: object and person's hand, moved rigidly to a handover pose, and other objects.
 
-        The world pose (7,) (quaternion xyzw) is that of the object; its surface is given in its own frame.
+        The handover pose (7,) (quaternion xyzw) is the object's in the world; `surface` is in the object's frame.
         """
         human_hand = self.person.spheres
         bodies = [Spheres(transform_points(handover_pose, surface.centers), surface.radii)]
@@ -206,7 +206,7 @@ class PoseSceneEstimate(SceneEstimate):
         return self._is_released
 
     def predict_point_twist(self, point: Array, ahead: float) -> tuple[Array, Array]:
-        """Predict the twist as the base class does; that of the person's hand if the gripper pushes the object."""
+        """Predict the twist as the base class does; if the gripper pushes the object, use that of the person's hand."""
         relative = self.motion.latest_velocity - self.person.velocity
         is_held = self.person.spheres is not None and not self._is_released
         if is_held and float(np.linalg.norm(relative)) > _MAX_RELATIVE_SPEED:

@@ -193,7 +193,7 @@ class GraspSelector:
         return np.asarray(compose(grasp_pose, self._grasp_from_standoff))
 
     def compute_pose_in_grasp(self, goal: GraspGoal, object_pose: Array, gripper_pose: Array) -> Array:
-        """Return the hand link's pose (7,) in a grasp's frame from world poses of object and hand link; all xyzw."""
+        """Return the hand link's pose (7,) in a grasp's frame from world poses of object and hand link (all xyzw)."""
         return np.asarray(compose(invert_pose(self.compute_grasp_pose(goal, object_pose)), gripper_pose))
 
     def _add(self, grasps: ValidatedGrasps, pad_margins: Array, cost: float) -> None:

@@ -75,7 +75,8 @@ def sample_points(
     """Draw 256 points of an object (n, 3), repeated if there are fewer, and at most 64 of a person's hand (m, 3).
 
     Returns:
-        Points (256, 3) of the object, points (64, 3) of the hand with zeros after them, and the number of the latter.
+        Points (256, 3) of the object, points (64, 3) of the hand, padded with zeros, and the number of the hand's
+        points.
     """
     repeat = len(object_points) < N_OBJECT_POINTS
     objects = object_points[rng.choice(len(object_points), N_OBJECT_POINTS, replace=repeat)]

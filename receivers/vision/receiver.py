@@ -31,8 +31,8 @@ class VisionReceiver(ControllerReceiver):
         context: The robot and the task; models and grasps of objects are not used.
         wait: Time at the waiting pose (s).
         risk: Trade-off between success rate (0) and speed (1).
-        weights: Weight file of a grasp network; default: the file that ships for the setup, that of s0
-            for setups of other data.
+        weights: Weight file of a grasp network; default: the file that ships for the setup, or the file of s0 for
+            setups of other data.
 
     Raises:
         OptionError: `wait` or `risk` is out of range, or PyTorch is missing.

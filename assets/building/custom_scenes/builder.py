@@ -62,7 +62,7 @@ DEFAULT_HAND = 6
 class CustomSceneFolder:
     """Folder of custom scenes, created if it does not exist; its methods add objects, motions and splits.
 
-    Every method checks its arguments first and writes the folder last, so that an error leaves it unchanged.
+    Every method checks its arguments first and writes the folder last, so that an error leaves the folder unchanged.
 
     Args:
         folder: Path of the folder.
@@ -114,7 +114,7 @@ class CustomSceneFolder:
         Args:
             name: Class name of the object.
             mesh: Mesh file of any format that trimesh reads, or a mesh. Recorded poses are poses of its frame.
-            config: Units of the mesh, and mass, friction and color of the object; default: those of `MeshConfig()`.
+            config: Units of the mesh, and mass, friction and color of the object; default: `MeshConfig()`.
             grasps: Number of robot grasps to find in simulation; 0 for none.
             seed: Random seed of the grasps.
             workers: Number of worker processes; default: one per core. The result does not depend on it.
@@ -124,7 +124,7 @@ class CustomSceneFolder:
             The object, with the number of grasps that held it and the repairs of its mesh.
 
         Raises:
-            OptionError: The name is that of a YCB class or of an object of the folder, or no file name.
+            OptionError: The name belongs to a YCB class or to an object of the folder, or is no file name.
             DataNotFoundError, DataFormatError: The mesh file is missing, damaged or no solid body.
         """
         text = _check_name("name", name, CLASS_NAMES.values())
@@ -176,7 +176,7 @@ class CustomSceneFolder:
                 `handover_marl.assets.building.custom_scenes.motion_tables`.
             object_name: Class of the object that is handed over: a class of the folder or a YCB class.
             subject: Name of the person, for splits.
-            config: Frames and units of the recording; default: those of `MotionConfig()`.
+            config: Frames and units of the recording; default: `MotionConfig()`.
             recording: Name of the recording; default: the number of the scene.
             side: Hand of the person, "right" or "left".
             hand: Number of the shipped hand, 1 to 10; None for a scene without a hand. Its fingers follow the
@@ -246,7 +246,7 @@ class CustomSceneFolder:
             by: "object" or "person", which are then in one split only, or "random".
             val: Names of the objects or persons in the val split; or a share (0 to 1) of the objects, persons or
                 scenes, which are then drawn at random.
-            test: Names or share, likewise, for the test split.
+            test: Names or share for the test split, as in `val`.
             seed: Random seed of drawn shares.
 
         Returns:

@@ -59,8 +59,8 @@ class MotionConfig:
         fingers: Form of finger angles (rad): "euler" (intrinsic XYZ) or "rotvec" (rotation vectors, as in MANO).
         max_gap: Largest gap (s) that is filled by interpolation.
         object_offset: Pose of the handed-over object's frame in the frame that was recorded as `object`, for instance
-            of its markers: position (m) and quaternion xyzw; default: the same frame.
-        wrist_offset: Pose of the wrist's frame in the frame that was recorded as `wrist`, likewise.
+            the frame of its markers: position (m) and quaternion xyzw; default: the same frame.
+        wrist_offset: Pose of the wrist's frame in the frame that was recorded as `wrist`, in the same form.
 
     Raises:
         UnknownNameError: A name does not exist.
@@ -108,7 +108,7 @@ class MotionTable:
     Attributes:
         time: (T,) times from 0 (s), ascending.
         bodies: Poses (T, 7) of `object` and of the other objects by class name: position (m), quaternion xyzw.
-        wrist: Poses (n, 7) of the wrist, likewise, in the rows of `wrist_rows`; None if there is no wrist.
+        wrist: Poses (n, 7) of the wrist, in the same form, in the rows of `wrist_rows`; None if there is no wrist.
         wrist_rows: First row with the wrist, and the row after the last.
         fingers: (n, 45) finger joint angles (rad, intrinsic XYZ Euler angles) in these rows, or None.
         repairs: Changes that were made to the recording.

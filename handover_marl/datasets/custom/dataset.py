@@ -66,7 +66,7 @@ _FRAME_ADVICE = "check frame: 'world' has its origin 0.92 m below the table's su
 
 
 def open_custom_dataset(argument: str, data_dir: str | None, robot: str) -> "CustomDataset":
-    """Open the custom scenes in the folder `argument`; or in the folder `data_dir`, whose name must be `argument`.
+    """Open the custom scenes in the folder `argument`; or in `data_dir`, if its data set has the name `argument`.
 
     Raises:
         OptionError: The data set in the folder has another name than `argument`.
@@ -120,7 +120,7 @@ class CustomDataset(Dataset):
 
     @property
     def source_folder(self) -> Path:
-        """Folder of the scenes, to pass as `data_dir` with the name, to open the data set again."""
+        """Folder of the scenes; `open_dataset(name, source_folder)` opens the data set again."""
         return self.folder
 
     @property
@@ -349,7 +349,7 @@ def check_start(
 
     Args:
         objects: (T, n, 6) motion of the objects in the world frame.
-        hand: (T, 51) base position (m) and angles of the hand (rad), likewise.
+        hand: (T, 51) base position (m) and angles (rad) of the hand in the world frame.
         first: First frame with the hand, or -1.
         bodies: Vertices (v, 3) of the n objects in their frames (m) by name, the handed-over one first.
 

@@ -48,7 +48,7 @@ class CustomObject:
         mass: Mass (kg).
         friction: Lateral friction coefficient.
         n_grasps: Number of robot grasps that held the object in simulation.
-        n_candidates: Number of grasps that were simulated for it.
+        n_candidates: Number of robot grasps that were simulated.
         repairs: Changes that were made to the user's mesh.
 
     Raises:

@@ -39,7 +39,7 @@ def build_hand_urdf(joints: npt.NDArray[np.float64]) -> str:
 def format_numbers(*numbers: float) -> str:
     """Return numbers as the text of a URDF attribute.
 
-    They are written as integers if all of them are integers, otherwise with 64 decimals each.
+    Numbers are written as integers if all of them are integers, otherwise with 64 decimals each.
     """
     pattern = "%.0f" if all(float(number).is_integer() for number in numbers) else "%.64f"
     return " ".join(pattern % float(number) for number in numbers)
@@ -93,7 +93,7 @@ def write_missing_files(folder: Path, files: Mapping[str, bytes], replace_stand_
 def write_hand_assets(assets: Path, subject: str, model: ManoModel, betas: Sequence[float] | Array) -> Path:
     """Write the 33 files of a subject's hand to `<subject>_<side>/` in `assets/`, and return the path of this folder.
 
-    They are `mano.urdf` and `meshes/<visual or collision>/mesh1..16.obj`. HandoverSim uses MANO's shape parameters
+    The files are `mano.urdf` and `meshes/<visual or collision>/mesh1..16.obj`. HandoverSim uses MANO's shape parameters
     `betas` (10,) of the subject's first scene for both sides.
 
     Raises:

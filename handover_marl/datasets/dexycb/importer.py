@@ -80,7 +80,7 @@ def import_dexycb(
     """Import DexYCB into a data folder, equal to the output of HandoverSim's scripts bit for bit.
 
     Existing files are compared and kept, so an interrupted import can be resumed. Missing or damaged
-    recordings are reported; the others keep their official scene numbers.
+    recordings are reported; other recordings keep their official scene numbers.
 
     Args:
         dexycb: Folder that DexYCB's archives were expanded into.

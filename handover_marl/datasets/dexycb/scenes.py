@@ -44,10 +44,10 @@ def compute_object_trajectory(poses: Float32, tag: TagFrame) -> Float32:
 def compute_hand_trajectory(poses: Float32, tag: TagFrame, model: ManoModel, wrist: Float64, base: Float64) -> Float32:
     """Compute the joint trajectory (T, 51) float32 of the person's articulated hand in the tag's frame at 1 kHz.
 
-    It is base position (m), unwrapped base angles and finger angles (rad, intrinsic XYZ); zero without a hand. The
+    A row is base position (m), unwrapped base angles and finger angles (rad, intrinsic XYZ); zero without a hand. The
     keyframes `poses` (F, 51) float32 are in DexYCB's world frame: rotation vector (rad), 45 coefficients of the finger
-    pose, translation (m); rows without a hand, at both ends only, are zero. `wrist` and `base` are the root joint (3,)
-    at rest (m) for the hand's shape in this recording, and in the articulated body.
+    pose, translation (m); rows without a hand, at both ends only, are zero. `wrist` is the root joint (3,) at rest (m)
+    for the hand's shape in this recording, and `base` the root joint of the articulated body.
     """
     present = np.flatnonzero(poses.any(axis=1))
     span = KeyframeSpan(int(present[0]), int(present[-1]))
@@ -102,9 +102,9 @@ BetasBySubject = Mapping[tuple[str, str], tuple[float, ...]]
 def find_first_betas(sequences: Iterable[SequenceFolder]) -> dict[tuple[str, str], tuple[float, ...]]:
     """Return MANO's shape parameters by subject and side, from the first readable recording of each.
 
-    HandoverSim places the root joint of a subject's hand model by the parameters of the first recording. In DexYCB
-    the parameters of all recordings of a subject are equal, so unreadable recordings are skipped. Of a subject, the
-    side of the first readable recording is first.
+    HandoverSim places the root joint of a subject's hand model by the parameters of the first recording. In DexYCB the
+    parameters of all recordings of a subject are equal, so unreadable recordings are skipped. For each subject, the
+    side of the first readable recording comes first.
     """
     first: dict[tuple[str, str], tuple[float, ...]] = {}
     for sequence in sequences:
@@ -127,10 +127,12 @@ def import_scene(
 
     Existing files must be equal. The motion is in the frame of the AprilTag on the table at 1 kHz: `pose_y` (T, n, 6),
     position (m) and intrinsic XYZ Euler angles (rad) of the objects, and `pose_m` (T, 1, 51), joint positions of the
-    hand: 3 positions (m), 48 angles (rad). `models` are MANO's by side, `first_betas` from `find_first_betas`.
+    hand: 3 positions (m), 48 angles (rad). `models` are MANO's hand models by side, `first_betas` is from
+    `find_first_betas`.
 
     Raises:
-        DataNotFoundError, DataFormatError: A file of the recording is missing or damaged, or one of the scene differs.
+        DataNotFoundError, DataFormatError: A file of the recording is missing or damaged, or an existing file of the
+            scene differs.
         ResultsError: A file cannot be written.
     """
     raw = read_sequence(sequence)

@@ -93,7 +93,7 @@ _PANDA_MESH_FOLDER = "stand_in"
 def install_third_party(source: Path, assets: Path) -> list[str]:
     """Install third-party files from HandoverSim's archive, or the folder that it was unpacked into.
 
-    The files may be at any depth, but in one tree; an archive is unpacked and checked before a file is written.
+    The files may be at any depth, but must be in one tree; an archive is unpacked and checked before a file is written.
     Returns warnings about files whose content has another checksum than the official one.
 
     Raises:

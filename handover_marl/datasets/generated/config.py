@@ -92,7 +92,7 @@ class GeneratedConfig:
 
     @property
     def kind_weights(self) -> tuple[float, ...]:
-        """Relative frequencies of the kinds of procedural objects, in the order of `OBJECT_KINDS`; the sum is free."""
+        """Relative frequencies of the kinds of procedural objects, in the order of `OBJECT_KINDS`; of any sum."""
         return tuple(getattr(self, name) for name in OBJECT_KINDS)
 
     @property

@@ -277,9 +277,9 @@ def _encode_grasps(templates: HandTemplates, palms: Palms, rows: Ints, closed: C
 
 
 def sort_by_farthest_point(grasps: Array) -> Array:
-    """Return grasps (k, 4, 4), of which k may be 0, in an order in which each is farthest from all before it.
+    """Return grasps (k, 4, 4), where k may be 0, in an order in which each is farthest from all before it.
 
-    The distance is that of the points between the fingers, plus that of closing and approach directions, of 5 cm each.
+    The distance is Euclidean, from the points between the fingers, and closing and approach directions scaled by 5 cm.
     """
     if not len(grasps):
         return grasps
@@ -324,8 +324,8 @@ def draw_robot_grasps(
 ) -> Array:
     """Draw gripper poses (n, 4, 4) in the object's frame (m) that are likely to hold it, not tried in simulation.
 
-    Grasps are tried from `n_points` points of the surface, and up to `n_grasps` are chosen, with `is_varied` far from
-    each other. They are rounded to float32; n can be 0.
+    Grasps are tried from `n_points` points of the surface, and up to `n_grasps` are chosen; if `is_varied`, they are
+    far from each other. Poses are rounded to float32; n can be 0.
     """
     first, second, cosines = solid.sample_antipodal_points(random, n_points, _MAX_OPENING, _CLOSING_TILT)
     noise, draws = random.normals(n_points, 3), random.uniforms(n_points, 2)

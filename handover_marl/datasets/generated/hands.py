@@ -177,7 +177,7 @@ def _spheres_from_capsules(capsules: list[Capsule], count: int) -> Spheres:
 def place_digits(model: HandGeometry, posture: Posture, bends: Array) -> Array:
     """Return the centers (n, s, 5, 9, 3) of the digits' spheres in the palm's frame (m), three per phalanx.
 
-    Each of n postures has s flexions `bends` (n, s, 5, 3) (rad) instead of its own.
+    Each of n postures has s flexions `bends` (n, s, 5, 3) (rad) instead of the flexion in `posture`.
     """
     n, count = bends.shape[:2]
     bent = replace(posture[np.repeat(np.arange(n), count)], bends=bends.reshape(-1, 5, 3))
@@ -203,7 +203,7 @@ class Openings(ArrayBatch):
         center: (n, 3) centers of the gaps (m).
         axis: (n, 3) unit vectors from the thumb's pad to the fingers' pads.
         width: (n,) widths of the gaps (m).
-        facing: (n,) cosines of the angles between the direction of the fingers' pads and the thumb.
+        facing: (n,) cosines of the angles between the direction that the fingers' pads face and that to the thumb.
     """
 
     posture: Posture

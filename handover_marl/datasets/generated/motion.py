@@ -321,8 +321,8 @@ def compute_swept_points(motion: KeyframeMotion, giver: SimulatedGiver) -> Array
 def compute_trajectories(motion: KeyframeMotion, clutter: Sequence[ClutterObject]) -> tuple[Float32, Float32, int]:
     """Interpolate keyframes in the table's frame to a scene's motion at 1 kHz in the world frame, as in `Scene`.
 
-    The motion is that of objects (T, n, 6), the handed-over one first, and of the hand (T, 51); the third result is the
-    first frame with the hand.
+    Returns the motions of the objects (T, n, 6), the handed-over one first, and of the hand (T, 51), and the first
+    frame with the hand.
     """
     n, first = len(motion.object_position), motion.hand_first
     key_times = np.arange(n, dtype=np.float64) * KEYFRAME_PERIOD
@@ -346,8 +346,8 @@ def compute_trajectories(motion: KeyframeMotion, clutter: Sequence[ClutterObject
 def resample_poses(key_times: Array, positions: Array, rotations: Rotation, times: Array) -> Float32:
     """Interpolate poses of n keyframes at `key_times` (n,), in s, at other times (T,).
 
-    Returns positions (m) and unwrapped intrinsic XYZ Euler angles (rad), (T, 6); outside of the keyframes,
-    positions are those of the first or last one.
+    Returns positions (m) and unwrapped intrinsic XYZ Euler angles (rad), (T, 6); outside of the keyframes, positions
+    are constant.
     """
     points = CubicSpline(key_times, positions)(np.clip(times, key_times[0], key_times[-1]))
     angles = np.unwrap(_resample_angles(key_times, rotations, times), axis=0)

@@ -133,7 +133,7 @@ class SimulatedGiver:
 
     @cached_property
     def gripper_points(self) -> Array | None:
-        """Points (n, p, 3) of the gripper at n robot grasps and on the approaches, in the object's frame (m)."""
+        """Points (n, p, 3) of the gripper at n robot grasps and on the way to them, in the object's frame (m)."""
         if self.robot_grasps is None:
             return None
         return np.asarray(transform_points(self.robot_grasps[:, None], _make_gripper_points()))
@@ -326,8 +326,8 @@ def draw_clutter(
 ) -> list[ClutterObject]:
     """Draw the objects on the table that are not handed over in a scene, all of different classes.
 
-    All of the numbers `counts` of objects are equally likely; there can be fewer where there is no space. They keep
-    clear of each other and of the `occupied` points (3, n), table's frame (m), of the hand and the handed-over object.
+    All numbers of objects in `counts` are equally likely; fewer are placed if there is no space. Objects keep clear of
+    each other and of the `occupied` points (3, n), table's frame (m), of the hand and the handed-over object.
     """
     count = counts[random.integer(len(counts))]
     placed: list[ClutterObject] = []

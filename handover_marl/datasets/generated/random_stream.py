@@ -57,7 +57,7 @@ class RandomStream:
     """Stream of random numbers that are the same on every machine.
 
     Args:
-        seed: Numbers of at least 0; streams with different seeds are independent.
+        seed: Integers of at least 0 that identify the stream; streams with different seeds are independent.
     """
 
     def __init__(self, *seed: int) -> None:

@@ -171,7 +171,7 @@ class Solid:
     def compute_distances(self, points: Array) -> Array:
         """Return signed distances (...) in m of points (..., 3) from the surface, negative inside.
 
-        They are the distances to the bounding planes, which are too small outside of an edge.
+        Distances are to the bounding planes, so they are too small for points beyond an edge.
         """
         flat = points.reshape(-1, 3)
         distances = [self._measure_parts(rows.T).min(axis=0) for rows in self._split(flat)]

@@ -25,7 +25,7 @@ class ArrayEnvs:
     Environment k behaves like a single environment with the wrappers `freeze` and `encode` that draws
     the same scenes. Action schemes may need no outputs in the first control periods of an episode,
     for example while the robot waits. These periods of the next episode are simulated together with
-    the current episode, which is faster than simulating them alone after a reset.
+    the current episode, which is faster than simulating these periods alone after a reset.
 
     Args:
         template: Single environment of the configuration, with its wrappers; it is not simulated.

@@ -32,9 +32,9 @@ from handover_marl.simulation.engines import BatchBackend
 class ArrayEpisodes:
     """Simulator of episodes of one configuration on arrays, with their rewards, features and action schemes.
 
-    An episode equals an episode of a single environment with the wrappers `freeze` and `encode`. The
-    argument `rows` (r,) of methods contains the indices of the episodes to which a method applies. All arrays are
-    those of the simulation: NumPy arrays, or PyTorch tensors on its device.
+    An episode equals an episode of a single environment with the wrappers `freeze` and `encode`. The argument `rows`
+    (r,) of methods contains the indices of the episodes to which a method applies. All arrays are of the simulation's
+    kind: NumPy arrays, or PyTorch tensors on its device.
 
     Args:
         template: Single environment of the configuration, with its wrappers; it is not simulated.
@@ -142,7 +142,7 @@ class ArrayEpisodes:
         return self._terminated[rows] | self._truncated[rows]
 
     def find_waiting(self, rows: AnyIndices) -> AnyIndices:
-        """Return those of the indices `rows` whose episode runs and whose action scheme needs no outputs now."""
+        """Return the indices in `rows` of running episodes whose action scheme needs no outputs now."""
         if len(self._agents) > 1 or not self._schemes:
             return rows[:0]
         (agent,) = self._agents
@@ -160,7 +160,7 @@ class ArrayEpisodes:
 
         Args:
             rows: Indices (r,) of running episodes.
-            actions: Actions (r, ...) by agent; those of agents with an action scheme are not used.
+            actions: Actions (r, ...) by agent; actions of agents with an action scheme are not used.
         """
         config, episodes, actions = self._base.config, self._episodes, dict(actions)
         for agent, scheme in self._schemes.items():

@@ -53,7 +53,7 @@ class EnvResult(NamedTuple):
 
 
 def merge_results(count: int, row_results: Sequence[tuple[Indices, EnvResult]]) -> EnvResult:
-    """Join pairs of row indices and result to a result of `count` environments; later pairs overwrite equal rows."""
+    """Merge pairs (row indices, result) into one result of `count` environments; later pairs overwrite earlier ones."""
     if len(row_results) == 1 and len(row_results[0][0]) == count:
         return row_results[0][1]
     placed = [(move_to_device(rows, result.rewards), result) for rows, result in row_results]
@@ -61,7 +61,7 @@ def merge_results(count: int, row_results: Sequence[tuple[Indices, EnvResult]]) 
 
 
 def copy_containers(result: EnvResult) -> EnvResult:
-    """Return a result with other dictionaries but the same arrays, since callers (TorchRL) change the dictionaries."""
+    """Return a result with new dictionaries but the same arrays, since callers (TorchRL) change the dictionaries."""
     copied: EnvResult = _select(result, slice(None))
     return copied
 
@@ -81,14 +81,14 @@ def _select(values: Any, rows: AnyArray | slice | int) -> Any:
 
 
 def replace_rows(values: Any, rows: Indices, others: Any) -> Any:
-    """Return copies of arrays in nested dictionaries and tuples, in which those in `others` replace the rows `rows`."""
+    """Return copies of the arrays in nested dictionaries and tuples, with the rows `rows` taken from `others`."""
     count = len(_first_array(values))
     all_rows, replaced_rows = (move_to_device(indices, values) for indices in (np.arange(count), rows))
     return _merge(count, [(all_rows, values), (replaced_rows, others)])
 
 
 def move_to_device(array: npt.NDArray[Any], values: Any) -> AnyArray:
-    """Return a NumPy array as an array or tensor on the device of those in `values`, nested dictionaries and tuples."""
+    """Return a NumPy array as an array or tensor on the device of the arrays in the nested dictionaries `values`."""
     like = _first_array(values)
     return get_namespace(like).asarray(array, device=like.device)
 
@@ -213,12 +213,12 @@ class EnvBatch:
                 to reset; default: all.
 
         Returns:
-            Observations of all environments by agent; those that were not reset keep their last ones. And their infos
-            in Gymnasium's form, of the environments that were reset.
+            Observations of all environments by agent (the last ones of environments that were not reset), and infos in
+            Gymnasium's form of the environments that were reset.
 
         Raises:
-            OptionError: The number of seeds is not the number of environments, a seed is not an integer from
-                0 on, `options` is not a mapping, or the mask has a wrong shape or chooses no environment.
+            OptionError: The number of seeds is not the number of environments, a seed is negative or not an integer,
+                `options` is not a mapping, or the mask has a wrong shape or chooses no environment.
             ResetNeededError: The environments are closed, or were made by another process.
             SimulationError: Another thread is using the environments.
         """
@@ -243,13 +243,13 @@ class EnvBatch:
         return result.observations, infos
 
     def step(self, actions: ByAgent) -> EnvResult:
-        """Step every environment, and reset those whose episode has ended as `autoreset` specifies.
+        """Step every environment, and reset environments whose episode has ended as `autoreset` specifies.
 
         Args:
             actions: Actions (n, ...) of each agent, arrays or tensors.
 
         Returns:
-            Result of all environments; those that were reset have the observations of the reset. The infos have
+            Result of all environments; environments that were reset have the observations of the reset. The infos have
             Gymnasium's form, with the last observations and infos of episodes that ended and were reset.
 
         Raises:

@@ -72,8 +72,8 @@ class EnvFactory:
     def uses_arrays(self) -> bool:
         """Whether `ArrayEnvs` simulates the environments together.
 
-        It can in MuJoCo's physics with no wrappers but `EpisodeReturns`, `freeze` and `encode`, in this order; without
-        camera, or with "warp" and a camera that passes `check_device`.
+        Arrays need MuJoCo's physics, no wrappers but `EpisodeReturns`, `freeze` and `encode` in this order, and
+        either no camera, or "warp" with a camera that passes `check_device`.
         """
         if self.config.physics != MUJOCO or self.config.render_mode is not None:
             return False
@@ -89,9 +89,9 @@ class EnvFactory:
         """Check that the environments can be simulated on a device, with the backend "warp".
 
         Raises:
-            OptionError: They must be simulated with "threads": for their physics or wrappers, or because the wrist
-                camera has data or noise that only "threads" can simulate, or the partner, a user-defined reward or a
-                user-defined action scheme observes it.
+            OptionError: The environments must be simulated with "threads": for their physics or wrappers, or because
+                the wrist camera has data or noise that only "threads" can simulate, or the partner, a user-defined
+                reward or a user-defined action scheme observes it.
         """
         for is_wrong, need in self._list_camera_faults():
             if is_wrong:

@@ -82,8 +82,8 @@ class GroupedEnvs:
 class ProcessEnvs:
     """Environments of one configuration in a process of their own; see `batch.Envs`.
 
-    Threads of one process run at the same time only while MuJoCo simulates; processes always do. The process
-    starts at once. The first call waits for it, and raises the errors of `make`.
+    Threads of one process run at the same time only while MuJoCo simulates; processes always do. The process starts at
+    once. The first call waits for the process, and raises the errors of `make`.
 
     Args:
         make: Function that makes the environments and gets their number; must be picklable by value.

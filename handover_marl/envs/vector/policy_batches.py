@@ -73,7 +73,7 @@ def make_policy_batch(
     count: int,
     arrays: ArrayFactory = NUMPY_ARRAYS,
 ) -> PolicyBatch:
-    """Make a policy for n environments: on arrays if there is such a version, else one per environment.
+    """Make a policy for n environments: one policy on arrays if there is such a version, else one per environment.
 
     Args:
         reference: Reference to the policy.

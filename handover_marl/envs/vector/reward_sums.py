@@ -1,6 +1,6 @@
 """Rewards of episodes that are simulated together.
 
-Terms of the library are computed for all episodes at once; each episode has a user-defined reward of its own.
+The library's terms are computed for all episodes at once, a user-defined reward separately for each episode.
 """
 
 import functools
@@ -86,7 +86,7 @@ class RewardSums:
         return infos
 
     def clear(self, rows: AnyIndices) -> None:
-        """Reset the sums of the episodes `rows`, from which `totals` counts again."""
+        """Set the sums `totals` of the episodes `rows` to 0."""
         for sums in self._sums.values():
             sums[rows, _SINCE_CLEAR] = 0.0
 

@@ -38,9 +38,9 @@ class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
     Results have the form of Gymnasium's `SyncVectorEnv`.
 
     With the backend "threads", all values are NumPy arrays. With "warp", observations, rewards, terminations,
-    truncations and infos are PyTorch tensors on the device of the simulation, also those in "final_info". "final_obs"
-    is a NumPy array (n,) of objects, the tensor or the dictionary of tensors of each environment whose episode has
-    ended, and its mask "_final_obs" is a NumPy array.
+    truncations and infos are PyTorch tensors on the device of the simulation, also the infos in "final_info".
+    "final_obs" is a NumPy array (n,) of objects, the tensor or the dictionary of tensors of each environment whose
+    episode has ended, and its mask "_final_obs" is a NumPy array.
 
     Args:
         batch: The environments.
@@ -163,10 +163,11 @@ def vector_env(
         processes: Number of processes that simulate the environments, each with one thread; default: this
             process simulates. On several cores, processes are faster than threads, but each needs memory for
             its own models.
-        backend: Backend of the simulation: "threads" for MuJoCo on the processor, or "warp" for MuJoCo Warp,
-            which steps all environments together and returns PyTorch tensors on `device`. Its results are not those of
-            "threads" to the bit. It renders the wrist camera on the device, without noise, for all observation modes
-            but "full_pointcloud"; point clouds of more than 1024 points are other random subsets.
+        backend: Backend of the simulation: "threads" for MuJoCo on the processor, or "warp" for MuJoCo Warp, which
+            steps all environments together and returns PyTorch tensors on `device`. Its results are not bit-identical
+            to those of "threads". The backend renders the wrist camera on the device, without noise, for all
+            observation modes but "full_pointcloud"; the random subsets of point clouds with more than 1024 points
+            differ from those of "threads".
         device: Device of the simulation: "cpu", or "cuda" for a GPU with "warp". MuJoCo Warp on "cpu" is for tests.
         trust: Whether a policy file may run code.
         config: Configuration of each environment; default: one made of `fields`.

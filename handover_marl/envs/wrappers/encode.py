@@ -113,7 +113,7 @@ class EncodedEnv(ParallelWrapper):
     def reset(self, seed: int | None = None, options: ByAgent | None = None) -> tuple[ByAgent, ByAgent]:
         """Start an episode and simulate it until an action scheme needs outputs; return features and infos by agent.
 
-        Arguments are those of `HandoverEnv.reset`.
+        Arguments are as in `HandoverEnv.reset`.
 
         Raises:
             OptionError: Many episodes in a row have ended before outputs were needed.

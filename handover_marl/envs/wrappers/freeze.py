@@ -24,9 +24,9 @@ DEFAULT_PARTNERS = {RECEIVER: "replay", GIVER: "yang2021"}
 class FrozenPartnerEnv(ParallelWrapper):
     """Parallel environment of one agent, made by `freeze`; a fixed policy acts for the other agent.
 
-    The partner acts as in evaluations: at its own control period, whatever that of the environment, and with seeds that
-    are derived from a run seed, which is drawn for each episode. Wrappers of `env` change neither observations nor
-    actions of the partner.
+    The partner acts as in evaluations: at its own control period, which may differ from the environment's, and with
+    seeds that are derived from a run seed, which is drawn for each episode. Wrappers of `env` change neither
+    observations nor actions of the partner.
 
     Args:
         env: Environment with both agents, see `freeze` for this and the other arguments.
@@ -76,7 +76,7 @@ class FrozenPartnerEnv(ParallelWrapper):
     def reset(self, seed: int | None = None, options: ByAgent | None = None) -> tuple[ByAgent, ByAgent]:
         """Start an episode with a new run seed for the partner; return observation and info by agent.
 
-        Arguments and result are those of `HandoverEnv.reset`, without the entries of the partner.
+        Arguments and result are as in `HandoverEnv.reset`, without the entries of the partner.
         """
         if seed is not None:
             self._rng, _ = seeding.np_random(seed)
@@ -88,7 +88,7 @@ class FrozenPartnerEnv(ParallelWrapper):
     def step(self, actions: dict[str, Any]) -> ParallelStep:
         """Let both agents act for one control period; the partner's policy decides at its own control period.
 
-        The result is that of `HandoverEnv.step` without the entries of the partner.
+        The result is as in `HandoverEnv.step`, without the entries of the partner.
 
         Args:
             actions: Mapping from the name of the agent that is controlled from outside to its action.

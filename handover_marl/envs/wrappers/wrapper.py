@@ -59,7 +59,7 @@ class ParallelWrapper(BaseParallelWrapper, EzPickle):  # type: ignore[misc]
         return [agent for agent in self.env.agents if agent in self.possible_agents]
 
     def convert_observation(self, agent: str, observation: Any) -> Any:
-        """Convert an agent's observation in the wrapped environment to that of this wrapper, here the same."""
+        """Convert an observation of the wrapped environment to this wrapper's; the base class returns it unchanged."""
         return observation
 
     def reset(self, seed: int | None = None, options: ByAgent | None = None) -> tuple[ByAgent, ByAgent]:

@@ -4,13 +4,13 @@ Idle times, concurrent activity and functional delay follow Hoffman, "Evaluating
 IEEE Transactions on Human-Machine Systems 49(3), 2019. For handovers, the task is the whole episode; a person is active
 while the wrist moves faster than `ACTIVE_SPEED`; a robot is active while its hand link moves faster than `ACTIVE_SPEED`
 or its fingers faster than `ACTIVE_FINGER_SPEED`. Smoothness is the spectral arc length of Balasubramanian et al., "On
-the analysis of movement smoothness", Journal of NeuroEngineering and Rehabilitation 12:112, 2015. It does not depend on
-speed and duration. The root mean square of the jerk depends on both; it is minimal in the minimum-jerk model of human
-reaching (Flash and Hogan, Journal of Neuroscience 5(7), 1985). Positions are differentiated by the filter of Savitzky
-and Golay, Analytical Chemistry 36(8), 1964. The exchange begins with the receiver's first contact and ends with the
-release, as the physical handover phase of Ortenzi et al., "Object Handovers: A Review for Robotics", IEEE Transactions
-on Robotics 37(6), 2021. RULA (rapid upper limb assessment) rates postures: McAtamney and Corlett, Applied Ergonomics
-24(2), 1993.
+the analysis of movement smoothness", Journal of NeuroEngineering and Rehabilitation 12:112, 2015. Smoothness does not
+depend on speed and duration. The root mean square of the jerk depends on both; it is minimal in the minimum-jerk model
+of human reaching (Flash and Hogan, Journal of Neuroscience 5(7), 1985). Positions are differentiated by the filter of
+Savitzky and Golay, Analytical Chemistry 36(8), 1964. The exchange begins with the receiver's first contact and ends
+with the release, as the physical handover phase of Ortenzi et al., "Object Handovers: A Review for Robotics", IEEE
+Transactions on Robotics 37(6), 2021. RULA (rapid upper limb assessment) rates postures: McAtamney and Corlett, Applied
+Ergonomics 24(2), 1993.
 """
 
 from dataclasses import dataclass

@@ -234,7 +234,7 @@ def _compute_jerk_weights() -> Array:
 def compute_spectral_arc_length(speed: Array, rate: float) -> float | None:
     """Compute the spectral arc length of a speed profile: at most 0, closer to 0 if smoother.
 
-    It is minus the length of the normalised amplitude spectrum; None if all speeds are zero.
+    The value is minus the length of the normalised amplitude spectrum; None if all speeds are zero.
 
     Args:
         speed: (n,) speeds at equal intervals.
@@ -276,9 +276,9 @@ def find_activities(active: Flags, period: float) -> list[tuple[int, int]]:
 def compute_protective_distances(person_speeds: Array, robot_speeds: Array) -> Array:
     """Compute the protective separation distances (n,) of person and robot (m) by ISO/TS 15066:2016, 5.5.4.
 
-    The distance is the sum of the paths of the person until the robot stands still, of the robot until it starts
-    to brake, and of the robot while it brakes with constant deceleration. Both are assumed to move towards each
-    other. The intrusion distance and the position uncertainties of the standard are zero in simulation.
+    The distance is the sum of the paths of the person until the robot stands still, of the robot until it starts to
+    brake, and of the robot while it brakes with constant deceleration. Person and robot are assumed to move towards
+    each other. The intrusion distance and the position uncertainties of the standard are zero in simulation.
 
     Args:
         person_speeds: (n,) speeds of the person (m/s).

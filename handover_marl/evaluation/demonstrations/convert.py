@@ -1,6 +1,6 @@
 """Conversion of demonstrations to the formats of Minari and LeRobot, which are optional dependencies.
 
-LeRobot has an environment of its own.
+LeRobot must be installed in a separate virtual environment.
 """
 
 import importlib

@@ -51,8 +51,8 @@ class Demonstration:
     """Recorded episode with T actions of the receiver and G decisions of the giver.
 
     Rows are the receiver's decisions, or frames at a constant rate (`fps`). The receiver's i-th action holds from
-    physics step `steps[i]` on, that of a decision until `steps[i + 1]`; the giver's j-th action holds from
-    `giver_steps[j]` until its next. Applied at these steps, decisions reproduce the episode bit for bit.
+    physics step `steps[i]` on; if rows are decisions, until `steps[i + 1]`. The giver's j-th action holds from
+    `giver_steps[j]` until its next decision. Applied at these steps, decisions reproduce the episode bit for bit.
 
     Attributes:
         observations: Arrays (T + 1, ...) by key of `receiver_observation_space`, at every row and at the end.
@@ -141,7 +141,7 @@ class Demonstrations:
     Episodes are in the order of the split. No file stays open, so that the object can be pickled.
 
     Args:
-        folder: Output folder of `demonstrate`, also of one that is not finished.
+        folder: Output folder of `demonstrate`; the recording need not be finished.
 
     Attributes:
         folder: Path of this folder.

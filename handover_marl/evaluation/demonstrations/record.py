@@ -175,7 +175,7 @@ class DemonstrationRecorder(EpisodeCallback):
 
 
 class DemonstrationWriter(EpisodeWriter):
-    """Writer of one file for each recorded episode, and of one that describes all, in a result folder.
+    """Writer of demonstrations in a result folder: one file for each episode, and one that describes the data set.
 
     The arguments `obs_mode`, `keep` and `fps` are those of `demonstrate`.
 

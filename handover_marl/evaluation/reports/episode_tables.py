@@ -110,7 +110,7 @@ def estimate_fluency(episodes: Iterable[EpisodeResult]) -> dict[str, Estimate]:
 
 
 def build_fluency_difference_table(pairs: Iterable[EpisodePair], names: tuple[str, str]) -> ReportTable:
-    """Build the table of mean differences of fluency metrics; without rows if no pair has fluency metrics.
+    """Build the table of mean differences of fluency metrics; it has no rows if no pair has fluency metrics.
 
     Args:
         pairs: Results of the same scenes in two evaluations. A metric is compared on the scenes where both have it.
@@ -125,7 +125,7 @@ def build_fluency_difference_table(pairs: Iterable[EpisodePair], names: tuple[st
 
 
 def build_fluency_table(means: Mapping[str, Estimate], title: str = "mean") -> ReportTable:
-    """Build the table of means of fluency metrics; without rows if there are none.
+    """Build the table of means of fluency metrics; it has no rows if there are no means.
 
     Args:
         means: Means by key, as `estimate_fluency` returns them.

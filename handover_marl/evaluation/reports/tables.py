@@ -112,9 +112,9 @@ def estimate_average_success(scores: Sequence[float]) -> Estimate:
 def estimate_paired_difference(first: Sequence[bool], second: Sequence[bool]) -> Estimate:
     """Estimate the difference of two rates on the same scenes, first minus second (-1..1).
 
-    Both arguments say for every scene whether it had the outcome. The 95 % interval follows Agresti and Min (Statistics
-    in Medicine 24, 2005): half an episode is added to each of the four kinds of pairs, so that the interval has a width
-    even if few scenes, or none, differ.
+    Both arguments say for every scene whether its episode had the outcome. The 95 % interval follows Agresti and Min
+    (Statistics in Medicine 24, 2005): half an episode is added to each of the four kinds of pairs, so that the interval
+    has a width even if few scenes, or none, differ.
     """
     differences = np.array(first, dtype=float) - np.array(second, dtype=float)
     n = len(differences) + 2.0
@@ -207,7 +207,7 @@ class ReportTable:
         return self.format()
 
     def select(self, columns: Sequence[str]) -> "ReportTable":
-        """Return a table with the given columns in this order, all for none; it has no rows if a column is missing."""
+        """Return a table of the given columns, or of all if none are given; it has no rows if a column is missing."""
         if not columns:
             return self
         if not set(columns) <= set(self.header):

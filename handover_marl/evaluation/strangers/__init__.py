@@ -1,1 +1,1 @@
-"""Evaluation of receivers and givers with partners that they have not met: populations, protocol and scores."""
+"""Evaluation of receivers and givers with unseen partners: populations, protocol and scores."""

@@ -1,4 +1,4 @@
-"""Protocol of the evaluation with partners that a policy has not met, its leaderboard, and its reference scores."""
+"""Protocol of the evaluation with unseen partners, its leaderboard, and its reference scores."""
 
 import contextlib
 import os
@@ -54,18 +54,19 @@ def strangers(
     execution: ExecutionConfig | None = None,
     **options: Any,
 ) -> StrangersReport:
-    """Evaluate a receiver, or a giver, with partners of a population that it has not met.
+    """Evaluate a receiver, or a giver, with unseen partners from a population.
 
     Args:
         receiver: Receiver to evaluate with givers, as for `benchmark`; or several trainings of one method.
         giver: Giver to evaluate with receivers, in place of a receiver.
         population: Name of a shipped population, or path of a file; see `handover_marl.policies.populations`.
         partners: Families of the population to evaluate with: "train", "test" or "all".
-        n_scenes: Number of scenes, evenly spaced over the split; all scenes if it has fewer. Ignored beside `scenes`.
+        n_scenes: Number of scenes, evenly spaced over the split; all scenes if it has fewer. Ignored if `scenes` is
+            given.
         setup: Official setup, "s0" to "s3", or one of other data; or a whole `handover_marl.EvaluationConfig`, whose
             policies are ignored.
         split: Split of the scenes, "train", "val" or "test".
-        references: File of references, as `strangers-references` writes it; default: that of the population.
+        references: File of references, as `strangers-references` writes it; default: the population's file.
         execution: Execution settings. The output folder gets a result folder for each pair, the files of `crossplay`,
             `strangers.md` and `strangers.json`; an interrupted evaluation resumes there.
         options: Fields of `handover_marl.EvaluationConfig` and `handover_marl.ExecutionConfig`; the default of
@@ -130,14 +131,14 @@ def update_references(
     out: str | os.PathLike[str] | None = None,
     trust: bool = False,
 ) -> ReferenceTable:
-    """Update the best policy known for each partner (reference) from result folders; write and return the table.
+    """Update the reference of each partner, the best policy known, from result folders; write and return the table.
 
     Args:
         folders: Result folders, or folders that contain some, such as those of `strangers` and `crossplay`. Pairs
             without a partner of the population are ignored. In a folder of `strangers`, only the evaluated
             policy can become a reference; in other folders, giver and receiver can.
         population: Name of a shipped population, or path of a file.
-        out: File of references to update; default: that of the population.
+        out: File of references to update; default: the population's file.
         trust: Whether modules that the population names may be imported, and code in policy files may run.
 
     Raises:
@@ -309,12 +310,12 @@ def make_leaderboard(
         folders: Output folders of `strangers` with the same partners, data and simulation, and in each split the same
             scenes.
         population: Population of the evaluations: name of a shipped one, or path of a file.
-        references: File of references; default: that of the population.
+        references: File of references; default: the population's file.
         names: Name of the method of every folder; default: the labels of its policies.
         trust: Whether modules that the population names may be imported, and code in policy files may run.
 
     Raises:
-        OptionError: There is no folder, a method has two folders of a split, or the population is another one.
+        OptionError: There is no folder, a method has two folders of a split, or the folders are of another population.
         ResultsError: A folder is not a finished evaluation, or the evaluations differ in partners, scenes, data, seed
             or simulation.
         DataNotFoundError: The file of references does not exist.

@@ -64,7 +64,7 @@ class Condition:
         return [name for name, value in vars(self).items() if value != vars(other)[name]]
 
     def contains(self, other: "Condition") -> bool:
-        """Return whether another condition is the same as this one, on all or some of the same scenes."""
+        """Return whether another condition equals this one, with the same scenes or some of them."""
         same = set(self.list_differences(other)) <= {"scenes", "data"}
         return same and set(zip(other.scenes, other.data, strict=True)) <= set(zip(self.scenes, self.data, strict=True))
 

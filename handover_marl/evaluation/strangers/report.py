@@ -1,4 +1,4 @@
-"""Report of an evaluation with partners that the evaluated policies have not met, and its output folder.
+"""Report of an evaluation with unseen partners, and its output folder.
 
 In an output folder, `strangers.json` lists the pairs of policies, which have official result folders.
 """
@@ -285,7 +285,7 @@ def read_report(folder: Path, population: Population) -> StrangersReport:
 
     Raises:
         OptionError: The folder is of another population.
-        ResultsError: A result folder is missing or malformed, or does not fit to the others.
+        ResultsError: A result folder is missing or malformed, or does not match the others.
     """
     entry = read_entry(folder)
     agent, split = entry["agent"], entry["partner_split"]

@@ -1,4 +1,4 @@
-"""Scores of a policy with partners that it has not met, and their 95 % intervals by a jackknife.
+"""Scores of a policy with unseen partners, and their 95 % intervals by a jackknife.
 
 Arrays of scores have the axes policies (several trainings of one method), partners and scenes. The return J of a
 policy with a partner is the mean score over scenes, here of average success. Best-response proximity is
@@ -28,9 +28,9 @@ _TRIMMED = 0.25  # share of the values that an interquartile mean leaves out at 
 
 
 def compute_proximities(returns: Array, references: Array) -> Array:
-    """Divide returns (policies, partners) by those of the best known policies (partners,): best-response proximities.
+    """Divide returns (policies, partners) by the best known policies' returns (partners,): best-response proximities.
 
-    They are above 1 where a policy exceeds the best one, and 1 for partners with whom no policy has a positive return.
+    A proximity is above 1 where a policy exceeds the best one, and 1 where the best policy's return is not positive.
     """
     return np.divide(returns, references, out=np.ones_like(returns), where=references > 0.0)
 
@@ -63,7 +63,7 @@ def compute_worst_proximity(returns: Array, references: Array) -> float:
 def estimate(
     statistic: Statistic, scores: Array, families: Sequence[str] | None, references: Array | None = None
 ) -> Estimate:
-    """Estimate a statistic with its 95 % interval, for other policies, families and scenes of the same kind.
+    """Estimate a statistic with a 95 % interval that covers the variation of policies, families and scenes.
 
     Args:
         statistic: Function of returns (policies, partners) and reference returns (partners,); see `Statistic`.
@@ -80,7 +80,7 @@ def estimate(
 
 
 def estimate_rate(statistic: Statistic, flags: Array, families: Sequence[str] | None) -> Estimate:
-    """Estimate a rate with its 95 % interval, at least as wide as Wilson's for as many episodes as it is computed from.
+    """Estimate a rate with a 95 % interval that is at least as wide as Wilson's interval for the number of episodes.
 
     Args:
         statistic: Function of returns (policies, partners), which are here shares of scenes; see `Statistic`.

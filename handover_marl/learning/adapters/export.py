@@ -39,7 +39,7 @@ def export_policy(
         action_scheme: Name of the action scheme that decodes the outputs, or `module:name`; default: as in training.
         control_period: Time between two decisions (s); default: as in training if that is recorded, else 0.1 s.
         normalization: Normalization of the inputs: a `VecNormalize` of Stable-Baselines3 or an
-            `InputNormalization`; default: that of the model's environment, or none.
+            `InputNormalization`; default: the normalization in the model's environment, or none.
         origin: Description of the training, for human readers.
 
     Models of Stable-Baselines3 record agent, features, action scheme and control period. For a PyTorch

@@ -51,15 +51,15 @@ def _array(tensor: Any) -> Array:
 def dense_network_from_module(module: Any, activation: str | None = None) -> DenseNetwork:
     """Convert a PyTorch module of linear layers, in the order of registration, to a `DenseNetwork`.
 
-    Both are evaluated on random inputs. The comparison also finds the activation after the last layer.
+    Module and network are evaluated on random inputs. The comparison also finds the activation after the last layer.
 
     Args:
         module: Module from (n, n_inputs) to (n, n_outputs).
         activation: Activation between the layers, a key of `ACTIVATIONS`; None finds it by comparison, too.
 
     Raises:
-        DataFormatError: The shapes of consecutive layers do not match, or no network of linear layers and one
-            activation, or that with `activation`, has the same outputs.
+        DataFormatError: The shapes of consecutive layers do not match, or no network of these layers and one activation
+            (`activation`, if given) has the same outputs.
     """
     bare = dense_network_from_layers(module, "identity" if activation is None else activation)
     inputs = draw_inputs(bare.n_inputs)

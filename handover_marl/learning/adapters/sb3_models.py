@@ -98,8 +98,8 @@ def _get_actor(model: BaseAlgorithm) -> tuple[nn.Module, bool]:
 def get_recorded_encoding(model: BaseAlgorithm) -> dict[str, Any]:
     """Return the fields of `PolicySpec` that a model records, by name.
 
-    Environments of this library store their encoding and control period in their action space, which a model keeps.
-    For a plain action space of giver or receiver, they are the agent and `RAW_ENCODINGS`; others record nothing.
+    Environments of this library store their encoding and control period in their action space, which a model keeps. For
+    a plain action space of giver or receiver, the fields are the agent and `RAW_ENCODINGS`; otherwise there are none.
     """
     space: Any = model.action_space
     recorded = dict(getattr(space, "encoding", {}))

@@ -1,7 +1,7 @@
 """Samples of a training by imitation: arrays that are generated in parallel processes and kept in files.
 
-The samples of a training are a named tuple of arrays (n, ...). A file has the samples of one key, such as a scene. It
-does not depend on the number of processes, so that an interrupted generation can be resumed.
+The samples of a training are a named tuple of arrays (n, ...). A file has the samples of one key, such as a scene. The
+content does not depend on the number of processes, so that an interrupted generation can be resumed.
 """
 
 from collections.abc import Callable, Sequence
@@ -31,7 +31,7 @@ def generate_samples(
     description: str,
     workers: int | None,
 ) -> list[Samples]:
-    """Return the samples of each key, in the order of `keys`; generate those that have no file yet.
+    """Return the samples of each key, in the order of `keys`; generate samples that have no file yet.
 
     Args:
         kind: Class of the samples, a named tuple of arrays.
@@ -59,7 +59,7 @@ def generate_samples(
 
 
 def get_samples_path(folder: Path, key: int) -> Path:
-    """Return the path of the file in a folder that has the samples of a key, a number such as that of a scene."""
+    """Return the path of the file in a folder that has the samples of a key, such as a scene number."""
     return folder / f"{key:06d}.npz"
 
 

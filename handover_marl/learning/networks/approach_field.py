@@ -4,7 +4,7 @@ The field gives the labels for imitation. Labels must depend only on what a netw
 field satisfies this, because it leads from any pose to the grasp, whatever motion led to that pose.
 
 The hand first rotates and moves to a standoff, at a pace that matches the remaining decisions, since
-a hand that arrives early would meet a person who is still lifting the object. It then moves in by a
+a hand that arrives early would meet a person who is still lifting the object. The hand then moves in by a
 single step: GA-DDPG closes the fingers as soon as 50 of 1,024 points are between them at the end of
 a decision, so that after several small steps the fingertips would hold the object.
 """

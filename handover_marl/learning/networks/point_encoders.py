@@ -132,8 +132,8 @@ class SetAbstraction(nn.Module):
 class PointNetPlusPlus(nn.Module):
     """PointNet++ encoder of GA-DDPG: three set abstractions and two dense layers.
 
-    The vector depends on which point of a cloud is first, from which farthest point sampling starts. It depends on the
-    order of the other points only if a ball has more points than its group.
+    The vector depends on which point of a cloud is first, from which farthest point sampling starts. The order of the
+    other points matters only if a ball has more points than its group.
     """
 
     n_features = 512

@@ -33,7 +33,7 @@ class BatchVecEnv(VecEnv):
         super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
 
     def seed(self, seed: int | None = None) -> list[int | None]:
-        """Set and return one seed per environment, which runs with another `seed` do not share; None is random."""
+        """Set and return one seed per environment; runs with different `seed` share none, None makes random seeds."""
         self._seeds = [None] * self.num_envs if seed is None else list(spawn_seeds(self.num_envs, seed))
         return self._seeds
 
@@ -51,8 +51,8 @@ class BatchVecEnv(VecEnv):
     def step_wait(self) -> tuple[Any, npt.NDArray[np.float32], npt.NDArray[np.bool_], list[dict[str, Any]]]:
         """Step all n environments; return observations (n, ...), rewards (n,), whether episodes ended, (n,), and infos.
 
-        Where an episode ended, the observation is the first one of the next episode, and the info has that of the last
-        step, its observation as `terminal_observation`, and `TimeLimit.truncated`.
+        Where an episode ended, the observation is the first one of the next episode, and the info is that of the last
+        step, with its observation as `terminal_observation` and with `TimeLimit.truncated`.
         """
         observations, rewards, terminations, truncations, infos = self._envs.step(self._actions)
         ended = terminations | truncations

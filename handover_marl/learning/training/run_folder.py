@@ -37,7 +37,7 @@ def select_held_out_scenes(scene_ids: Sequence[int]) -> tuple[int, ...]:
 
 
 def spawn_seeds(count: int, *entropy: int) -> list[int]:
-    """Return `count` seeds that calls with other numbers `entropy`, such as the seeds of other runs, do not return."""
+    """Return `count` seeds that differ from those of calls with other `entropy`, such as the seeds of other runs."""
     return [int(seed) for seed in np.random.SeedSequence(entropy).generate_state(count)]
 
 

@@ -1,4 +1,4 @@
-"""Start of scripts of `experiments/`, and arguments that they share: dataclasses that become command-line options."""
+"""Command-line arguments that the scripts in `experiments/` share, as dataclasses, and a function to run a script."""
 
 import math
 import sys
@@ -96,8 +96,8 @@ class RlArgs(SetupArgs):
         epochs: Number of passes over the collected decisions in each update.
         minibatch_size: Number of decisions per gradient step.
         learning_rate: Learning rate of Adam.
-        discount: Discount factor; potential-based rewards use it too. With 0.97 the mean of a pair never learns to
-            close the gripper; exploration noise closes it late enough.
+        discount: Discount factor; potential-based rewards use it too. With 0.97, two agents that learn together never
+            learn a mean action that closes the gripper: exploration noise closes it late enough.
         gae_lambda: Lambda of generalized advantage estimation.
         clip_range: Largest deviation from 1 of the probability ratio in PPO's objective.
         width: Width of the two hidden layers of each network.

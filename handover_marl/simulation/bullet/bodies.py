@@ -125,7 +125,8 @@ class ArticulatedBody:
     def reset_joints_at_rest(self, positions: Sequence[float]) -> None:
         """Set positions (m, rad) of the moving joints, at rest; faster than `reset_joints`.
 
-        Later simulated states differ in the last bits from those after `reset_joints`, so it is for distances only.
+        Later simulated states differ in the last bits from those after `reset_joints`, so use this method for distances
+        only.
         """
         self.client.resetJointStatesMultiDof(self.id, self.joints, [[position] for position in positions])
 

@@ -76,7 +76,7 @@ class BulletClient:
     """PyBullet's functions and constants, bound to one physics server.
 
     `mode` is PyBullet's DIRECT, or GUI for a window; a SimulationError says why the server did not start. The client
-    disconnects when it is garbage collected. It must not be copied: both copies would close the server.
+    disconnects when it is garbage collected. A client must not be copied: both copies would close the server.
     """
 
     _server = -1
@@ -184,7 +184,7 @@ def load_urdf(client: BulletClient, path: Path | str, **options: object) -> int:
 def check_model_files(urdf: Path, modified_ns: int) -> None:
     """Check the files of a model before PyBullet loads them.
 
-    PyBullet crashes on invalid vertex numbers, waits forever if a path is a pipe, and loads any number.
+    PyBullet crashes on invalid vertex numbers, waits forever if a path is a pipe, and accepts numbers of any size.
 
     Args:
         urdf: URDF file of the model.

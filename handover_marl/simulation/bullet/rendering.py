@@ -97,7 +97,7 @@ class SceneRenderer:
     Args:
         scene: Scene to render.
         config: Poses of robot and table.
-        client: Physics client to load the scene into, for example that of a window; None for a new one.
+        client: Physics client to load the scene into, for example the client of a window; None for a new one.
 
     Attributes:
         scene: Scene that is rendered.

@@ -176,7 +176,7 @@ class KinematicHand(BodyTrajectory):
         self.is_awake = False
 
     def wake(self, row: int) -> None:
-        """Add the hand to the simulation from the coming step, `row` of the reference motion, on."""
+        """Add the hand to the simulation from step `row` of the reference motion on."""
         self.is_awake = True
 
     def move_bodies(self, row: int) -> None:

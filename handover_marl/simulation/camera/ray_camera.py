@@ -107,7 +107,7 @@ class Framebuffer:
         return np.concatenate(drawn)
 
     def remove_occluded_by(self, body: RayBody, joints: Array, pixels: Pixels) -> Pixels:
-        """Clear those of the given pixels that a body at joint positions (d,) occludes; return the other pixels."""
+        """Clear the given pixels that a body at joint positions (d,) occludes; return the other given pixels."""
         rotations, origins = self._compute_mesh_frames(body, joints)
         columns, rows, _ = _bound_boxes(body, rotations, origins)
         for link, frame in enumerate(zip(rotations, origins, strict=True)):
@@ -121,7 +121,7 @@ class Framebuffer:
         return pixels
 
     def remove_below_ground(self, pixels: Pixels) -> Pixels:
-        """Clear those of the given pixels whose points are below the ground, world z = 0; return the other pixels."""
+        """Clear the given pixels whose points are below the ground, world z = 0; return the other given pixels."""
         heights = self._position[2] + self._depth[pixels] * (_RAYS[pixels] @ self._rotation[2])
         is_below = heights < 0.0
         self._clear(pixels[is_below])
@@ -236,7 +236,7 @@ class RayCamera:
     def render_wrist_camera(self, snapshot: JointSnapshot, color: bool) -> CameraImage:
         """Render the wrist-camera image with all bodies of the scene at the joint positions of a snapshot.
 
-        With `color` it has the colours of the models' materials and textures in PyBullet's light.
+        With `color`, the image has the colours of the models' materials and textures in PyBullet's light.
         """
         buffer = Framebuffer(*self._compute_camera_frame(snapshot), color)
         buffer.add_ground()
@@ -247,7 +247,7 @@ class RayCamera:
     def render_targets(self, snapshot: JointSnapshot, with_others: bool = False) -> CameraImage:
         """Render the visible pixels of target object and human hand at the joint positions of a snapshot.
 
-        With `with_others`, those of the other objects are rendered, too. All other pixels are background.
+        With `with_others`, pixels of the other objects are rendered, too. All other pixels are background.
         """
         buffer = Framebuffer(*self._compute_camera_frame(snapshot))
         drawn = [*self._list_targets(snapshot), *(self._list_others(snapshot) if with_others else [])]

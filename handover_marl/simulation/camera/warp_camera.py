@@ -2,9 +2,9 @@
 
 Images equal those of `ray_camera.RayCamera` to single precision. All arrays are PyTorch tensors on the device.
 
-The renderer of MuJoCo Warp 4.0 does not serve: its context holds the meshes and textures of one compiled model and
-compiles a kernel of its own, while the worlds here get other scenes in every episode. It also has another light than
-PyBullet, and no images of hand and object alone behind the bodies that cover them.
+The renderer of MuJoCo Warp 4.0 cannot be used: its context holds the meshes and textures of one compiled model and
+compiles a kernel of its own, while the worlds here get other scenes in every episode. That renderer also has another
+light than PyBullet, and cannot render the visible pixels of hand and object only.
 """
 
 from collections.abc import Sequence
@@ -174,7 +174,7 @@ class WarpCamera:
         """Load the models of the scene of the world with number `row`.
 
         Raises:
-            OptionError: Robot or hand have other joints than those of the other worlds.
+            OptionError: Robot or hand have other joints than in the other worlds.
             SimulationError, DataFormatError: A model or one of its meshes cannot be read.
         """
         panda, table = self._config.panda, (*self._config.table_position, *IDENTITY[3:].tolist())
@@ -211,14 +211,14 @@ class WarpCamera:
     def render_wrist_camera(self, rows: AnyArray, states: WorldState, color: bool) -> ImageBatch:
         """Render wrist-camera images of the worlds `rows` (r,) in `states` (r, ...), with all bodies of the scenes.
 
-        With `color` they have the colours of the models' materials and textures in PyBullet's light.
+        With `color`, images have the colours of the models' materials and textures in PyBullet's light.
         """
         return self._render(rows, states, tuple(SegmentationLabel), color)
 
     def render_targets(self, rows: AnyArray, states: WorldState, with_others: bool = False) -> ImageBatch:
         """Render the visible pixels of target objects and hands of the worlds `rows` (r,) in `states` (r, ...).
 
-        With `with_others`, those of the other objects are rendered, too. All other pixels are background.
+        With `with_others`, pixels of the other objects are rendered, too. All other pixels are background.
         """
         return self._render(rows, states, _OBJECTS if with_others else _TARGETS, False)
 

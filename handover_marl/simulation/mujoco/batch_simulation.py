@@ -39,7 +39,7 @@ class WorldData:
     Attributes:
         batch: Batch of MuJoCo that simulates the world.
         released: Whether the human has released the target object.
-        qpos: Writable view of the joint positions (q,), like the following arrays.
+        qpos: Joint positions (q,); this and the following arrays are writable views.
         qvel: Joint velocities (v,).
         ctrl: Actuator targets (u,).
         mocap_pos: Positions (m, 3) of the mocap bodies (m).
@@ -97,7 +97,7 @@ class WorldData:
         check_warnings(batch)
 
     def set_step(self, controls: Array, sensordata: Array, step_state: Array) -> None:
-        """Set the state to that after one of the steps that `simulate` has computed, from what it wrote for this step.
+        """Set the state to that after one of the steps of `simulate`, from the values that it wrote for this step.
 
         Args:
             controls: Controls (c,) of the step.

@@ -175,7 +175,7 @@ class ContactSensors:
     def compute_finger_points(self, data: AnyArray) -> AnyArray:
         """Compute the points (..., 2, 8, 3) of 8 contacts of each finger with the object from sensor data (..., s).
 
-        Points are in the frame of the finger (m), float32; those without a force are invalid.
+        Points are in the frame of the finger (m), float32; points without a force are invalid.
         """
         frames = data[..., self._frames]
         origins, columns = frames[..., :3], frames[..., 3:].reshape(*frames.shape[:-1], 3, 3)

@@ -150,7 +150,7 @@ class SleepState:
         self._first, self._free = 0, 0
 
     def advance_rows(self, rows: int) -> None:
-        """Count rows from the start of the next reference motion on; `rows` of the current one have been simulated."""
+        """Count rows from the start of the next reference motion, after `rows` simulated steps of the current one."""
         self._first -= rows
 
     @staticmethod
@@ -160,7 +160,7 @@ class SleepState:
         targets: Sequence[list[float]],
         hands: Sequence[BodyTrajectory],
     ) -> None:
-        """Simulate the robots of worlds alone from a step on; store the first step with a body near, for each robot.
+        """Simulate the robots alone from a step on; store for each robot the first step in which a body is near.
 
         A body is near if the spheres around it and around the robot's links may touch.
 

@@ -43,7 +43,7 @@ class MujocoWorld(RolloutWorld):
     The hand follows its reference kinematically, as in `FastWorld` of PyBullet.
 
     Until a body comes near the robot, or the target object is released, the world sleeps: the robot is simulated
-    alone, and objects follow their reference. The attributes are those of the current episode; row k is step k of the
+    alone, and objects follow their reference. The attributes describe the current episode; row k is step k of the
     current reference motion, and row -1 the state before its first step.
 
     Args:
@@ -270,7 +270,7 @@ class MujocoWorld(RolloutWorld):
         self._release_pending = True
 
     def read_contacts(self, released: bool) -> Contacts:
-        """Return the contacts of the last step; those of the target object with supports only if it is `released`."""
+        """Return the contacts of the last step; the target's with table and other objects only if it is `released`."""
         if self.sleep is not None:
             return Contacts()
         data = self.data

@@ -281,7 +281,7 @@ def list_shared_scenes(data: Dataset, setups: Sequence[str]) -> tuple[int, ...]:
 
 
 def make_plans(folder: Path, config: DataGeneratorConfig, count: int, workers: int | None) -> ExpertPlans:
-    """Return the expert's plans in scenarios 0 to `count` - 1; compute those that are not on disk.
+    """Return the expert's plans in scenarios 0 to `count` - 1; compute plans that are not on disk.
 
     Scenarios without a reachable grasp are left out.
 
@@ -305,7 +305,7 @@ def make_plans(folder: Path, config: DataGeneratorConfig, count: int, workers: i
 def collect_states(
     folder: Path, config: DataGeneratorConfig, tasks: Sequence[RolloutTask], weights: Path | None, workers: int | None
 ) -> ImitationStates:
-    """Return the imitation states of all rollouts, in the order of the tasks; collect those that are not on disk.
+    """Return the imitation states of all rollouts, in the order of the tasks; collect states that are not on disk.
 
     Args:
         folder: Folder of the files of states, for the same configuration and tasks only.

@@ -234,8 +234,8 @@ def load_costed_grasps(context: PolicyContext, object_name: str) -> tuple[Array,
         object_name: Class name of the object.
 
     Returns:
-        (n, 7) poses of the hand link in the object's frame, and (n,) costs, higher the less likely a grasp holds the
-        object (m); n may be 0.
+        (n, 7) poses (quaternion xyzw) of the hand link in the object's frame, and (n,) costs (m), higher the less
+        likely a grasp holds the object; n may be 0.
 
     Raises:
         SimulationError: The object's model cannot be loaded.

@@ -1,9 +1,9 @@
 """Training of GA-DDPG's network: augmented batches of imitation states, losses and learner.
 
 States are augmented by random changes of the pose of the robot's hand. PointNet++ groups points around sampled centers.
-The groups depend on the distances between points only, so that they are those of the stored cloud. Each point counts
-once in a group; the deployed network repeats points to fill groups, which does not change its output. As in GA-DDPG, a
-loss is the mean L1 distance between six points of the gripper at two poses.
+The groups depend only on the distances between points, so an augmented cloud has the groups of the stored cloud. Each
+point counts once in a group; the deployed network repeats points to fill groups, which does not change its output. As
+in GA-DDPG, a loss is the mean L1 distance between six points of the gripper at two poses.
 """
 
 import itertools
@@ -31,11 +31,11 @@ from handover_marl.receivers.gaddpg import GRIPPER_POINTS
 class ImitationBatch(NamedTuple):
     """Tensors of B imitation states with N points and M centers of groups.
 
-    The hands are the Panda's hand link.
+    A hand is the Panda's hand link in one of the states.
 
     Attributes:
         points: (B, N, 3) points in the hands' frames (m).
-        centers: (B, M) indices of those points that are centers of groups.
+        centers: (B, M) indices of the points that are centers of groups.
         is_center: (B, M) whether a center is not the same point as an earlier one.
         neighbors: (B, M, N) whether a point is in the group of a center.
         center_neighbors: (B, M, M) whether the second center is in the group of centers around the first.
@@ -265,7 +265,7 @@ class GaddpgLearner(ImitationLearner[GaddpgNetwork, ImitationBatch]):
         return {name: float(value) for name, value in losses.items()}
 
     def compute_losses(self, network: GaddpgNetwork, batch: ImitationBatch) -> tuple[Tensor, dict[str, Tensor]]:
-        """Return the loss of a batch to minimize, and its mean losses "action" (motions) and "goal" (grasps) in m."""
+        """Return the loss to minimize, and its terms "action" (error of motions) and "goal" (error of grasps) in m."""
         moved = batch.to(self._device)
         with torch.autocast(self._device.type, torch.bfloat16, enabled=self.use_bfloat16):
             output = network.policy(encode_batch(network.features, moved), moved.remaining)

@@ -107,8 +107,8 @@ def compute_grasp_losses(outputs: GraspOutputs, batch: LabelledClouds) -> dict[s
     preferred. Centers without such a grasp only contribute to the loss of the quality.
 
     Returns:
-        "grasp", the distance of predicted grasps from those matched to them (m); "quality", the binary cross entropy
-        of the predicted quality; "object_center" and "object_motion", distances from the true ones (m).
+        "grasp", the distance of predicted grasps from the good grasps matched to them (m); "quality", the binary cross
+        entropy of the predicted quality; "object_center" and "object_motion", distances from the true ones (m).
     """
     targets = batch.targets
     with torch.no_grad():

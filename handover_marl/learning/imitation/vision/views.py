@@ -167,7 +167,7 @@ class ViewRenderer:
         self._arm = ArmInWorld.for_panda(self._context.panda_urdf, self._context.panda, LIMIT_PADDING)
 
     def render_scene(self, number: int) -> GraspViews:
-        """Return random views of the scene with a number; those with few object points are discarded.
+        """Return random views of the scene with a number; views with few object points are discarded.
 
         Raises:
             SimulationError: A model cannot be loaded.
@@ -233,7 +233,7 @@ class ViewRenderer:
         return np.where(clearances < _MIN_CLEARANCE, 0.0, qualities)
 
     def render(self, scene: Scene, poses: Iterable[tuple[LabelledFrame, Array]], rng: Rng) -> GraspViews:
-        """Return views of a scene, each of a frame with arm joints (7,) in rad; skip those with few object points."""
+        """Return views of a scene, each of a frame with arm joints (7,) in rad; skip views with few object points."""
         camera = RayCamera(scene.assets, self._context.config.physics)
         rendered = [self._render_view(scene, camera, frame, joints, rng) for frame, joints in poses]
         views = [view for view in rendered if view is not None]
@@ -289,7 +289,7 @@ class ViewRenderer:
 
 
 def generate_views(config: GraspViewConfig, scenes: Sequence[int], folder: Path, workers: int | None) -> GraspViews:
-    """Return the views of scenes in the order of the scenes; render those of scenes that have no file yet.
+    """Return the views of scenes in the order of the scenes; render the views of scenes that have no file yet.
 
     Args:
         config: Configuration of the views.

@@ -186,7 +186,7 @@ class WarpGroup:
             return self._sensors.compute_rollout_contacts(data, qpos, rules)
 
     def store_states(self, rollout: WarpRollout, running: AnyArray) -> None:
-        """Copy the states of worlds that are `running` (r,) to `rollout.states`; the others keep theirs there."""
+        """Copy the states of the worlds that are `running` (r,) to `rollout.states`; keep the other states there."""
         xp, count = self._arrays.xp, len(rollout.rows)
         for name, kept in rollout.states.items():
             rollout.states[name] = xp.where(running[:, None], self._views[name][:count], kept)
@@ -226,7 +226,7 @@ class WarpGroup:
         return self._arrays.xp.all(self._sensors.find_touching_fingers(self.state["sensordata"][rows]), axis=-1)
 
     def read_contacts(self, row: int, released: bool) -> Contacts:
-        """Return the contacts of world `row` in the last step; those of its target with supports only if `released`."""
+        """Return the last step's contacts of world `row`; the target's with table and objects only if `released`."""
         data, qpos = (to_numpy(self.state[name][row]).astype(np.float64) for name in ("sensordata", "qpos"))
         return self.scene.contact_sensors.compute_contacts(data, qpos, released)
 

@@ -219,7 +219,7 @@ class WarpWorlds(Worlds):
         return grasped
 
     def read_contacts(self, row: int, released: bool) -> Contacts:
-        """Return the contacts of world `row` in the last step; those of its target with supports only if `released`."""
+        """Return the last step's contacts of world `row`; the target's with table and objects only if `released`."""
         ((group, _),) = self._split(self._arrays.asarray([row]))
         return group.read_contacts(row, released)
 

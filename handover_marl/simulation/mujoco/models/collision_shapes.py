@@ -106,7 +106,7 @@ def _read_stl_vertices(mesh: Path) -> Array:
 
 
 def compute_box_inertia(link: UrdfLink, parts: Sequence[ConvexPart]) -> Array:
-    """Compute the moments of inertia (3,) in kg m^2 of a link, as those of the box around all its collision shapes."""
+    """Compute the moments of inertia (3,) in kg m^2 of a link, approximated by the box around its collision shapes."""
     lower, upper = _compute_bounds(parts, any(link.center))
     x, y, z = (upper - lower) ** 2
     return np.array([y + z, x + z, x + y]) * link.mass / 12.0

@@ -47,7 +47,7 @@ class RobotOnlyModel:
         model: Compiled model; only the robot's nine joints move.
         motion_bounds: Bounds on the motion of the robot.
         links: Body numbers (L,) of the links in `motion_bounds.links`.
-        spheres: Site numbers (b,) of the centers of the bounding spheres: those of the links, then the base's.
+        spheres: Site numbers (b,) of the centers of the bounding spheres, first of the links, then of the base.
     """
 
     model: "mujoco.MjModel"
@@ -128,7 +128,7 @@ def load_scene_model(assets: SceneAssets, config: PhysicsConfig, padding: ModelP
     Args:
         assets: Model files of the scene.
         config: Constants of the world.
-        padding: Sizes to fill the model up to; the indices are those of the scene's own objects.
+        padding: Sizes to fill the model up to; the indices refer to the scene's own objects.
 
     Raises:
         SimulationError, DataFormatError: A model or a mesh cannot be read, or MuJoCo rejects it.
