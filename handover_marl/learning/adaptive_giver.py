@@ -17,6 +17,7 @@ from handover_marl.learning.offers import (
     N_OFFER_FEATURES,
     OFFER_FEATURES,
     Vectors,
+    compute_added_reaches,
     compute_offer_features,
     compute_offer_scores,
     draw_offers,
@@ -36,11 +37,14 @@ class AdaptiveConfig(CheckedConfig):
         patience: Time without an approach after which the giver varies its handover pose (s).
         offers: Number of random offers of which the best is chosen; 1 is the recorded handover pose.
         spread: Standard deviation of the random offers, relative to the bounds of `HandoverPoseScheme`.
+        reach_cost: Reduction of an offer's score, a probability, for each metre that the person reaches farther than in
+            the recording (1/m).
     """
 
     patience: float = bounded(6.0, 0.0, 60.0)
     offers: int = bounded(256, 1, 10_000)
     spread: float = bounded(0.5, 0.0, 10.0)
+    reach_cost: float = bounded(0.5, 0.0, 100.0)
 
 
 class AdaptiveGiver(ArrayGiver):
@@ -107,6 +111,8 @@ class AdaptiveGiver(ArrayGiver):
         """Return the best (7,) of many random offers in the episode of an observation (1, ...)."""
         offers = draw_offers(rng, self.config.offers, self.config.spread)
         features = compute_offer_features(observation, offers, self.context)
-        scores = np.array([1.0]) if features is None else compute_offer_scores(self._network(features))
-        best: Vectors = offers[int(np.argmax(scores))]
+        if features is None:
+            return offers[0]
+        costs = self.config.reach_cost * compute_added_reaches(observation, offers)
+        best: Vectors = offers[int(np.argmax(compute_offer_scores(self._network(features)) - costs))]
         return best

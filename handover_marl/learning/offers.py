@@ -7,6 +7,7 @@ own hand, the gripper, and the known grasps of the object. They do not depend on
 import numpy as np
 import numpy.typing as npt
 
+from handover_marl.episode.metrics.fluency import CHEST, HALF_SHOULDER_WIDTH
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import AnyArray, get_namespace, widen
 from handover_marl.geometry.poses import compose, inverse_transform_points, invert_pose
@@ -55,6 +56,24 @@ def compute_offered_poses(observation: Observation, offers: Vectors) -> Array:
     recorded = widen(observation["replay_object_poses"][:, -1, 3:])
     rotations = multiply_quaternions(quaternions_from_rotation_vectors(turns), recorded)
     return np.concatenate([origins + shifts, rotations], axis=1)
+
+
+def compute_added_reaches(observation: Observation, offers: Vectors) -> Array:
+    """Return how much farther the person reaches at k offers (k, 7) than in the recording, (k,) in m, at least 0.
+
+    The reach is the distance of the wrist from the nearer shoulder of a person who faces the robot.
+
+    Args:
+        observation: Arrays (1, ...) of the giver's observation.
+        offers: Offers (k, 7), outputs of `HandoverPoseScheme`.
+    """
+    recorded = widen(observation["replay_wrist_poses"][:, -1])
+    wrist_in_object = compose(invert_pose(widen(observation["replay_object_poses"][:, -1])), recorded)
+    wrists = np.concatenate([recorded, compose(compute_offered_poses(observation, offers), wrist_in_object)])[:, :3]
+    shoulders = np.array(CHEST) + HALF_SHOULDER_WIDTH * np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    reaches = np.linalg.norm(wrists[:, None] - shoulders, axis=2).min(axis=1)
+    added: Array = (reaches[1:] - reaches[0]).clip(0.0)
+    return added
 
 
 def compute_offer_features(observation: Observation, offers: Vectors, context: PolicyContext) -> Vectors | None:

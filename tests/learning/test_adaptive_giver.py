@@ -28,7 +28,7 @@ def test_the_giver_takes_the_offer_that_its_network_prefers(
 ) -> None:
     """Features 31 and 34 are the translation upwards and the rotation about the vertical."""
     weights = write_weights(tmp_path / "up.npz", feature)
-    giver = givers.make(f"adaptive:weights={weights},offers=500")
+    giver = givers.make(f"adaptive:weights={weights},offers=500,reach_cost=0")
     assert giver.weights_hash.startswith("up@")
     giver.reset(0)
     assert not giver.act(seen(holding=np.float32([0]))).any()
@@ -36,10 +36,21 @@ def test_the_giver_takes_the_offer_that_its_network_prefers(
     if component == 6:
         assert far[component] > 0.8 * limit
     else:
-        few = givers.make(f"adaptive:weights={weights},offers=2")
+        few = givers.make(f"adaptive:weights={weights},offers=2,reach_cost=0")
         few.reset(0)
         assert far[component] > few.act(seen())[component]
     np.testing.assert_array_equal(giver.act(seen(time=np.float32([1.1]))), far)
+
+
+def test_a_large_cost_of_reaching_keeps_the_wrist_near(tmp_path: Path) -> None:
+    """Feature 29 is the translation towards the gripper, away from the person."""
+    weights = write_weights(tmp_path / "far.npz", 29)
+    shifts = []
+    for cost in (0, 50):
+        giver = givers.make(f"adaptive:weights={weights},reach_cost={cost}")
+        giver.reset(0)
+        shifts.append(giver.act(seen())[2])
+    assert shifts[0] < shifts[1] - 0.05  # the gripper is at smaller y
 
 
 def test_a_single_offer_is_the_recorded_pose() -> None:

@@ -8,10 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.episode.metrics.fluency import CHEST, HALF_SHOULDER_WIDTH
 from handover_marl.episode.observations import Observation, add_episode_axis
 from handover_marl.geometry.poses import compose, inverse_transform_points, invert_pose, transform_points
 from handover_marl.learning.offers import (
     N_OFFER_FEATURES,
+    compute_added_reaches,
     compute_offer_features,
     compute_offer_scores,
     compute_offered_poses,
@@ -49,6 +51,17 @@ def test_offered_poses_are_those_to_which_the_action_scheme_moves_the_object(see
     (found,) = compute_offered_poses(add_episode_axis(observation), offer)
     np.testing.assert_allclose(found[:3], moved[:3], atol=1e-5)
     assert abs(found[3:] @ moved[3:]) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_reaches_grow_by_the_distance_from_the_nearer_shoulder() -> None:
+    """The recorded wrist is in front of the right shoulder; the robot is at smaller y."""
+    pose = np.float32([CHEST[0] - HALF_SHOULDER_WIDTH, CHEST[1] - 0.4, CHEST[2], 0, 0, 0, 1])
+    gripper = pose - np.float32([0, 0.5, 0, 0, 0, 0, 0])
+    poses = {key: np.tile(pose, (5, 1)) for key in ("object_poses", "replay_object_poses", "replay_wrist_poses")}
+    observation = add_episode_axis(seen(gripper_pose=gripper, **poses))
+    offers = np.zeros((3, 7), np.float32)
+    offers[:, 0] = 0.0, 0.8, -0.8  # towards the gripper by 0.2 m, and back
+    np.testing.assert_allclose(compute_added_reaches(observation, offers), [0.0, 0.2, 0.0], atol=1e-6)
 
 
 def quaternion(vector: np.ndarray) -> np.ndarray:
