@@ -56,6 +56,8 @@ class Args(SetupArgs):
         disturbance: Standard deviation of the disturbances of the outputs.
         disturbed_share: Share of the decisions that are disturbed.
         latest_takeover: Largest time at which the expert takes over (s).
+        change_weight: Weight of decisions in which the expert opens or closes the gripper, which are few; others have
+            the weight 1.
         width: Width of the two hidden layers of the network.
         updates: Number of gradient steps in each training of the network.
         batch_size: Number of decisions per gradient step.
@@ -78,6 +80,7 @@ class Args(SetupArgs):
     disturbance: float = 0.3
     disturbed_share: float = 0.15
     latest_takeover: float = 6.0
+    change_weight: float = 20.0
     width: int = 256
     updates: int = 8_000
     batch_size: int = 512
@@ -164,8 +167,10 @@ def fit(decisions: Decisions, args: Args) -> DenseNetwork:
     network = make_mlp(inputs.shape[1], targets.shape[1], args.width)
     optimizer = torch.optim.AdamW(network.parameters(), args.learning_rate, weight_decay=args.weight_decay)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, args.updates)
+    closes = targets[:, -1] > 0.0
+    weights = 1.0 + (args.change_weight - 1.0) * (closes != closes.roll(1)).double()
     for _ in range(args.updates):
-        rows = torch.randint(len(inputs), (args.batch_size,))
+        rows = torch.multinomial(weights, args.batch_size, replacement=True)
         loss = nn.functional.smooth_l1_loss(network(inputs[rows]), targets[rows], beta=0.2)
         optimizer.zero_grad()
         loss.backward()
