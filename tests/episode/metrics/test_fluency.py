@@ -12,7 +12,7 @@ from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import EpisodeCallback
 from handover_marl.episode.metrics import motion
-from handover_marl.episode.metrics.fluency import FluencyMetrics, compute_fluency
+from handover_marl.episode.metrics.fluency import compute_fluency
 from handover_marl.episode.metrics.motion import (
     SAMPLE_STEPS,
     EpisodeTrace,
@@ -22,8 +22,6 @@ from handover_marl.episode.metrics.motion import (
     compute_spectral_arc_length,
 )
 from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.evaluation.reports.episode_tables import estimate_fluency
-from handover_marl.evaluation.reports.tables import FLUENCY
 from handover_marl.geometry.kinematic_tree import compute_link_trajectory
 from handover_marl.geometry.panda import ROBOTS
 from handover_marl.receivers import make
@@ -417,8 +415,3 @@ def test_recording_changes_nothing_and_notes_what_can_be_seen() -> None:
     assert played.min_separation_margin <= played.min_distance
     recorder.close()
     episode.close()
-
-
-def test_every_metric_has_a_column() -> None:
-    assert [column.key for column in FLUENCY] == [part.name for part in dataclasses.fields(FluencyMetrics)]
-    assert estimate_fluency([]) == {}
