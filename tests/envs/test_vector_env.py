@@ -60,10 +60,15 @@ def single(agent: str, partner: str, **options: Any) -> gymnasium.Env[Any, Any]:
 
 
 def rollout(envs: gymnasium.vector.VectorEnv[Any, Any, Any], steps: int, seed: int = 3) -> list[Any]:
-    """Return the results of `reset` and of all steps with random actions, and close the environments."""
+    """Return the results of `reset` and of all steps with random actions, and close the environments.
+
+    The first environment starts anew after eight steps, so that its episodes end later than those of the others.
+    """
     rng, said = np.random.default_rng(0), list(envs.reset(seed=seed))
     space = envs.single_action_space
-    for _ in range(steps):
+    for step in range(steps):
+        if step == 8:
+            envs.reset(options={"reset_mask": np.arange(envs.num_envs) == 0})
         draw = rng.normal(size=(envs.num_envs, *space.shape))
         seen = said[0] if len(said) == 2 else said[-5]
         near = 0.0 if not isinstance(seen, dict) or space.shape != (9,) else seen["robot_joint_position"]

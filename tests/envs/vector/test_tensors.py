@@ -3,7 +3,7 @@
 Physics is the same on both sides, so that all results agree to the accuracy of the arrays' functions.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,12 +13,14 @@ pytest.importorskip("mujoco", reason="needs MuJoCo")
 pytest.importorskip("torch", reason="needs the extra `train`")
 
 import torch
+from gymnasium import spaces
 
 import handover_marl
 from handover_marl.config import PhysicsConfig, ProtocolConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.envs.custom_rewards import combine_rewards
 from handover_marl.envs.transition import Transition
+from handover_marl.envs.vector.batch import check_action_array
 from handover_marl.envs.wrappers.wrapper import EpisodeReturns
 from handover_marl.episode import episodes
 from handover_marl.errors import ActionError
@@ -194,3 +196,35 @@ def test_wrong_numbers_change_nothing(on_device: ArrayFactory) -> None:
     observations, *_ = envs.step(actions)
     np.testing.assert_allclose(observations["time"].tolist(), [[0.1], [0.1]], atol=1e-6)
     envs.close()
+
+
+ACTIONS = spaces.Box(-np.ones(2, np.float32), np.ones(2, np.float32))
+
+
+@pytest.mark.usefixtures("on_device")
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: torch.zeros(COUNT, 3), r"must have shape \(4, 2\), got torch.float32 \(4, 3\)"),
+        (lambda: torch.zeros(COUNT * 2), r"must have shape \(4, 2\), got torch.float32 \(8,\)"),
+        (lambda: torch.zeros(COUNT, 2, dtype=torch.bool), r"must have shape \(4, 2\), got torch.bool \(4, 2\)"),
+        (lambda: torch.zeros(COUNT, 2, dtype=torch.complex64), "got torch.complex64"),
+        (lambda: torch.zeros(COUNT, 2, requires_grad=True), "grad"),
+    ],
+)
+@pytest.mark.parametrize("arrays", [NUMPY_ARRAYS, make_tensor_factory("cuda")], ids=["array", "tensor"])
+def test_wrong_tensors_are_refused(make: Callable[[], Any], message: str, arrays: ArrayFactory) -> None:
+    error = message.replace("torch.", "") if arrays is NUMPY_ARRAYS else message
+    with pytest.raises(ActionError, match=error):
+        check_action_array(make(), ACTIONS, COUNT, "receiver", arrays)
+
+
+@pytest.mark.usefixtures("on_device")
+def test_tensors_on_a_device_are_refused_without_a_simulation_there() -> None:
+    with pytest.raises(ActionError, match="must be an array"):
+        check_action_array(torch.zeros(COUNT, 2, device="cuda"), ACTIONS, COUNT, "receiver")
+    actions = torch.zeros(COUNT, 2)
+    values = check_action_array(actions, ACTIONS, COUNT, "receiver")
+    assert type(values) is np.ndarray
+    values[0, 0] = 1.0
+    assert actions[0, 0] == 1.0, "memory is shared"
