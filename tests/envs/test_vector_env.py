@@ -3,6 +3,7 @@
 import copy
 import multiprocessing
 import os
+import pickle
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -357,6 +358,11 @@ def test_malformed_resets_change_nothing(three: HandoverVectorEnv, arguments: di
     three.step(STILL)[0].clear()
     after, *_ = three.step(STILL)
     np.testing.assert_allclose(after["time"], 0.2, atol=1e-6)
+
+
+def test_vector_environments_cannot_be_copied(three: HandoverVectorEnv) -> None:
+    with pytest.raises(OptionError, match="make another one"):
+        pickle.dumps(three)
 
 
 def test_two_threads_at_once_are_refused(three: HandoverVectorEnv, monkeypatch: pytest.MonkeyPatch) -> None:
