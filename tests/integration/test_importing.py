@@ -130,3 +130,11 @@ def test_imported_scenes_are_played(imported: Path) -> None:
     report = benchmark(setup="s0", split="train", scenes=[5, 108], data_dir=imported, physics="fast", progress=False)
     assert all(episode.status and episode.steps > 3000 for episode in report.episodes)
     assert report.data_label == "DexYCB, 4 to 5 objects a scene, MANO hand"
+
+
+@pytest.mark.slow
+def test_models_equal_those_of_the_original_scripts_to_the_byte(imported: Path, raw_dexycb: Path) -> None:
+    entries = json.loads((raw_dexycb / "expected" / "checksums.json").read_text())["assets"]
+    assert len(entries) == 685
+    sums = {name: hashlib.sha256((imported / "assets" / name).read_bytes()).hexdigest() for name in entries}
+    assert sums == {name: entry["sha256"] for name, entry in entries.items()}
