@@ -12,7 +12,7 @@ TREE = read_tree(SyntheticDataset().panda_urdf)
 ARM = ArmKinematics(TREE)
 START = np.array(WAITING_JOINTS[:7])
 LIMITS = np.array(LOWER_LIMITS[:7]) + 0.2, np.array(UPPER_LIMITS[:7]) - 0.2
-BASE = np.array([0.61, -0.5, 0.875, 0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)])
+BASE = np.array([0.61, -0.5, 0.875, 0.0, 0.0, 0.7071068, 0.7071068])
 IN_WORLD = ArmInWorld(ARM, BASE, LIMITS)
 
 
