@@ -1,4 +1,7 @@
-"""Function that plays a scene, for tests."""
+"""Function that plays a scene, and a recorder of its steps, for tests."""
+
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,3 +20,17 @@ def play(
     episode.reset(scene)
     run_episode(episode, receiver, giver, callbacks=(log, *callbacks))
     return log.actions, log.times
+
+
+class StepRecorder(EpisodeCallback):
+    """Callback that records what a function reads from the episode at the start and after every `period` steps."""
+
+    def __init__(self, read: Callable[[Episode], Any], period: int = 1) -> None:
+        self._read, self._period = read, period
+
+    def on_reset(self, episode: Episode) -> None:
+        self.rows = [self._read(episode)]
+
+    def on_step(self, episode: Episode) -> None:
+        if episode.steps % self._period == 0:
+            self.rows.append(self._read(episode))
