@@ -1,5 +1,6 @@
-"""Equality of nested results, for tests."""
+"""Equality of nested results and of folders, for tests."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,3 +18,9 @@ def assert_equal(first: Any, second: Any) -> None:
             assert_equal(one, other)
     else:
         np.testing.assert_array_equal(first, second, strict=True)
+
+
+def read_files(folder: Path) -> dict[str, bytes]:
+    """Return the content of all files below a folder, also of hidden ones, by relative path."""
+    paths = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}

@@ -1,7 +1,6 @@
 """Tests of generated scenes: equality to the bit, splits, families, model files, configuration and resampling."""
 
 import hashlib
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -25,6 +24,7 @@ from handover_marl.datasets.generated.post_arrival_motion import (
 from handover_marl.errors import HandoverError, SceneError, UnknownNameError
 from handover_marl.geometry.model_files.meshes import check_model, read_collision_mesh
 
+pytestmark = pytest.mark.usefixtures("own_cache")
 DEFAULT, HARD = "generated:n=100000,seed=7", "generated:n=1000,seed=7,family=hard"
 #: First digits of the scenes' hashes: they change with the generator's version and with nothing else.
 HASHES = {
@@ -34,13 +34,6 @@ HASHES = {
     (HARD, 0): "aeecdeb25d27a94a",
     (HARD, 17): "41169280ea81b669",
 }
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "generated"))
-        yield
 
 
 def digest(scene: Scene) -> str:
