@@ -18,6 +18,7 @@ from handover_marl.episode.episode import Episode
 from handover_marl.evaluation.benchmark import benchmark
 from handover_marl.geometry.ycb import SUBJECTS
 from handover_marl.receivers import WAITING_JOINTS
+from tests.helpers.equality import assert_equal
 
 
 @pytest.fixture(scope="module")
@@ -121,8 +122,7 @@ def test_a_hand_from_the_import_is_the_originals(
         episode.advance(np.array(WAITING_JOINTS, dtype=np.float32), 300)
         states.append(episode.observe())
         episode.close()
-    for key, value in states[0].items():
-        np.testing.assert_array_equal(value, states[1][key], err_msg=key)
+    assert_equal(*states)
 
 
 @pytest.mark.slow
