@@ -278,6 +278,7 @@ def without_final_count(last: int, state: RefereeState) -> tuple[int, RefereeSta
     [[Contacts(robot_touches_object=True, finger_points=(INSIDE, INSIDE))] * 4 + [Contacts(object_supported=True)]],
     False,
 )
+@example([[Contacts()] * 45], False)
 @given(streams(), st.booleans())
 def test_arrays_give_the_states_of_the_referee(
     is_device: bool, chunk: int, episodes: list[list[Contacts]], releases_voluntarily: bool
