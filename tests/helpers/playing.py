@@ -1,4 +1,4 @@
-"""Function that plays a scene, and a recorder of its steps, for tests."""
+"""Functions that play scenes, and a recorder of their steps, for tests."""
 
 from collections.abc import Callable
 from typing import Any
@@ -9,6 +9,8 @@ import numpy.typing as npt
 from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import ActionRecorder, EpisodeCallback, run_episode
+from handover_marl.episode.observations import Observation
+from handover_marl.geometry.panda import WAITING_JOINTS
 from handover_marl.policies.policy import Policy
 
 
@@ -20,6 +22,16 @@ def play(
     episode.reset(scene)
     run_episode(episode, receiver, giver, callbacks=(log, *callbacks))
     return log.actions, log.times
+
+
+def observe_handover(scene: Scene, milliseconds: int) -> Observation:
+    """Return the observation of a scene after some milliseconds in fast physics, with the robot at rest."""
+    episode = Episode("fast")
+    episode.reset(scene)
+    episode.advance(np.array(WAITING_JOINTS, dtype=np.float32), milliseconds)
+    observation = episode.observe()
+    episode.close()
+    return observation
 
 
 class StepRecorder(EpisodeCallback):
