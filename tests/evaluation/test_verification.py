@@ -255,7 +255,8 @@ def test_a_last_run_of_fewer_scenes(tmp_path: Path) -> None:
     evaluate_pair("replay", "hold", "s0", "val", scenes=[SCENE], **options)
     assert check_reports(tmp_path) == ([], 1)
     found = verify(tmp_path, workers=1, progress=False, world_config=NOISY)
-    assert (found.is_verified, found.n_unreported) == (True, 1)
+    assert (found.is_verified, found.n_unreported, found.scenes) == (True, 1, (9, SCENE))
+    assert verify(tmp_path, workers=1, progress=False, world_config=NOISY, scenes=[9]).scenes == (9,)
     path = tmp_path / "config.yaml"
     path.write_text(path.read_text().replace("giver: replay", "giver: wary"))
     with pytest.raises(OptionError, match="'wary', which is not registered; pass giver="):
