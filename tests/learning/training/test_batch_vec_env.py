@@ -14,7 +14,6 @@ import handover_marl
 from handover_marl.errors import OptionError
 from handover_marl.learning.training.batch_vec_env import BatchVecEnv
 from handover_marl.learning.training.run_folder import spawn_seeds
-from tests.helpers.equality import assert_equal
 
 COUNT = 2
 OPTIONS: dict[str, Any] = {
@@ -51,7 +50,14 @@ def test_batches_equal_single_environments() -> None:
     expected = rollout(DummyVecEnv([alone] * COUNT))
     found = rollout(batch())
     assert sum(int(ended.sum()) for ended in expected[3::4]) > COUNT
-    assert_equal(found, expected)
+    for one, other in zip(found, expected, strict=True):
+        if isinstance(one, list):
+            for mine, theirs in zip(one, other, strict=True):
+                assert mine.keys() == theirs.keys()
+                for key, value in mine.items():
+                    np.testing.assert_array_equal(value, theirs[key], err_msg=key)
+        else:
+            np.testing.assert_array_equal(one, other)
 
 
 def test_runs_of_different_seeds_share_no_environment() -> None:
