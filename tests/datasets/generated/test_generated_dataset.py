@@ -1,6 +1,5 @@
 """Tests of generated scenes: equality to the bit, splits, families, model files, configuration and resampling."""
 
-import hashlib
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +7,6 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from handover_marl.datasets import open_dataset
-from handover_marl.datasets.dataset import Scene
 from handover_marl.datasets.generated.config import (
     FAMILY_DEFAULTS,
     GeneratedConfig,
@@ -23,6 +21,7 @@ from handover_marl.datasets.generated.post_arrival_motion import (
 )
 from handover_marl.errors import HandoverError, SceneError, UnknownNameError
 from handover_marl.geometry.model_files.meshes import check_model, read_collision_mesh
+from tests.helpers.equality import hash_scene
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 DEFAULT, HARD = "generated:n=100000,seed=7", "generated:n=1000,seed=7,family=hard"
@@ -36,17 +35,11 @@ HASHES = {
 }
 
 
-def digest(scene: Scene) -> str:
-    info = repr(scene.info).replace(", side=", f", subject={scene.info.subject!r}, side=")
-    content = scene.object_dof.tobytes() + scene.hand_dof.tobytes() + info.encode()
-    return hashlib.sha256(content).hexdigest()[:16]
-
-
 @pytest.mark.parametrize(("name", "scene_id"), HASHES)
 def test_scenes_equal_their_checksums_and_are_complete(name: str, scene_id: int) -> None:
     dataset = open_dataset(name)
     scene = dataset.load_scene(scene_id)
-    assert digest(scene) == HASHES[name, scene_id]
+    assert hash_scene(scene) == HASHES[name, scene_id]
     info = scene.info
     assert info.side == dataset.find_side(scene_id)
     assert info.object_names == tuple(dataset.object_names[number] for number in info.object_ids)
@@ -60,13 +53,13 @@ def test_scenes_equal_their_checksums_and_are_complete(name: str, scene_id: int)
 
 def test_scenes_depend_on_seed_and_number_alone() -> None:
     dataset = open_dataset(DEFAULT)
-    first = digest(dataset.load_scene(17))
+    first = hash_scene(dataset.load_scene(17))
     for other in range(40, 45):
         dataset.load_info(other)
-    assert digest(dataset.load_scene(17)) == first
-    assert digest(open_dataset("generated:n=18,seed=7").load_scene(17)) == first
-    assert digest(open_dataset("generated:n=18,seed=8").load_scene(17)) != first
-    assert digest(open_dataset("generated:n=18,seed=7,left=0.4").load_scene(17)) == first
+    assert hash_scene(dataset.load_scene(17)) == first
+    assert hash_scene(open_dataset("generated:n=18,seed=7").load_scene(17)) == first
+    assert hash_scene(open_dataset("generated:n=18,seed=8").load_scene(17)) != first
+    assert hash_scene(open_dataset("generated:n=18,seed=7,left=0.4").load_scene(17)) == first
 
 
 def test_objects_differ_between_splits() -> None:
