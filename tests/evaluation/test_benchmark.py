@@ -13,6 +13,7 @@ import yaml
 
 import handover_marl
 from handover_marl import EvaluationConfig, ExecutionConfig
+from handover_marl.config import ProtocolConfig, WorldConfig
 from handover_marl.episode.episode import Episode
 from handover_marl.errors import (
     DataNotFoundError,
@@ -21,11 +22,11 @@ from handover_marl.errors import (
     ResultsError,
     SceneError,
     UnknownArgumentError,
-    UnknownNameError,
 )
 from handover_marl.evaluation.episode_runner import EpisodeRunner
 from handover_marl.evaluation.metadata import read_result_metadata
 from handover_marl.evaluation.reports.report import evaluate
+from handover_marl.evaluation.results import find_recordings
 from handover_marl.givers import Giver
 from tests.evaluation.quick import HORIZON, SCENES, SHORT, QuickReceiver, run, untimed
 
@@ -147,7 +148,6 @@ def test_a_full_disk_loses_nothing(fake_data: Path, tmp_path: Path, monkeypatch:
 @pytest.mark.parametrize(
     ("options", "error", "message"),
     [
-        ({"receiver": "nobody"}, UnknownNameError, "receiver 'nobody'; valid: gaddpg, hold, learned, omg"),
         ({"scenes": [9, 10]}, SceneError, "scene 10 is not in s0 val"),
         ({"scenes": []}, SceneError, "scenes must not be empty"),
         ({"scenes": [19]}, DataNotFoundError, "meta_019"),
@@ -258,3 +258,24 @@ def test_results_store_robot_observation_mode_and_wait(tmp_path: Path, monkeypat
     for other in ({}, {"robot": "panda_camera"}, bullet):
         with pytest.raises(ResultsError, match="holds another evaluation"):
             run(None, tmp_path, **options, **other)
+
+
+@pytest.mark.slow
+def test_time_series_of_an_episode(tmp_path: Path) -> None:
+    """A finished episode is simulated again; the columns agree with each other and with the metrics."""
+    rules = WorldConfig(protocol=ProtocolConfig(horizon_steps=1000))
+    options = {"dataset": "synthetic", "scenes": [9], "receiver": "omg:wait=0", "world_config": rules}
+    run(None, tmp_path, **options)
+    (fluency,) = [episode.fluency for episode in run(None, tmp_path, traces=True, **options).episodes]
+    assert fluency is not None
+    path = tmp_path / "traces" / "009.csv"
+    assert find_recordings(tmp_path) == [path]
+    rows = np.genfromtxt(path, delimiter=",", names=True)
+    np.testing.assert_allclose(rows["time"], np.arange(51) * 0.02)
+    gripper, wrist = (np.stack([rows[f"{point}_{axis}"] for axis in "xyz"], axis=1) for point in ("gripper", "wrist"))
+    assert np.isfinite(wrist[-1]).all()
+    np.testing.assert_allclose(rows["gripper_wrist_distance"], np.linalg.norm(gripper - wrist, axis=1), atol=1e-5)
+    assert rows["gripper_speed"].max() == pytest.approx(fluency.gripper_max_speed, rel=1e-4) != 0.0
+    assert rows["robot_object_force"].max() == pytest.approx(fluency.max_robot_object_force, rel=1e-4)
+    with pytest.raises(OptionError, match="traces need an output folder"):
+        run(None, traces=True, **options)
