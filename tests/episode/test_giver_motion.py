@@ -1,4 +1,4 @@
-"""Tests of the effects of the giver's action on the recorded motion of one giver, and of offsets of wrists."""
+"""Tests of the effects of the giver's action on the recorded motion of one giver and of tensors of several."""
 
 from dataclasses import replace
 
@@ -13,14 +13,16 @@ from handover_marl.config import TIME_STEP
 from handover_marl.episode.giver_motion import (
     NEVER,
     NO_DEVIATION,
+    GiverMotion,
     find_pick_up_frame,
     find_wrist_in_base,
     requests_release,
 )
 from handover_marl.episode.wrist_offset import move_with_wrists, track_set_points
+from handover_marl.geometry.arrays import ArrayFactory, make_tensor_factory
 from handover_marl.geometry.kinematic_tree import compute_link_trajectory
 from handover_marl.simulation.reference_tracking import WRIST_LINK, ReferenceMotion
-from tests.episode.one_giver import CONFIG, SCENES, OneGiver
+from tests.episode.one_giver import CONFIG, COUNT, HIGH, SCENES, OneGiver
 
 SCENE = SCENES[0]
 
@@ -317,3 +319,71 @@ def test_an_offset_that_passes_its_set_point_returns() -> None:
     assert np.abs(path - value[:, None]).max() > 0.01
     np.testing.assert_array_equal(path[:, -1], value)
     assert not speeds[:, -1].any()
+
+
+# ------------------------------------------------------------------------------------------------- givers on tensors
+
+
+@pytest.fixture(scope="module")
+def tensors() -> ArrayFactory:
+    pytest.importorskip("torch", reason="needs the extra `train`")
+    return make_tensor_factory("cpu")
+
+
+def start(tensors: ArrayFactory) -> tuple[GiverMotion, list[OneGiver]]:
+    batch = GiverMotion(COUNT, CONFIG, tensors)
+    for row, scene in enumerate(SCENES):
+        batch.reset(row, scene)
+    return batch, [OneGiver(scene) for scene in SCENES]
+
+
+def compare(
+    tensors: ArrayFactory, batch: GiverMotion, singles: list[OneGiver], rng: np.random.Generator, actions: np.ndarray
+) -> None:
+    """Plan and commit some steps, with random releases of the objects, and compare every value with single givers."""
+    steps = int(rng.integers(1, 201))
+    released = rng.random(COUNT) < 0.3
+    opening = released & (rng.random(COUNT) < 0.5)
+    plan = batch.plan(tensors.arange(COUNT), steps, *map(tensors.asarray, (actions, released, opening)))
+    taken = np.where(rng.random(COUNT) < 0.8, steps, rng.integers(0, steps + 1, COUNT))
+    for row, single in enumerate(singles):
+        expected = single.plan(steps, actions[row], bool(released[row]), bool(opening[row]))
+        found = plan.reference
+        np.testing.assert_allclose(found.hand[row], expected.hand, rtol=0, atol=2e-6)
+        np.testing.assert_array_equal(found.hand_present[row], expected.hand_present)
+        count = expected.objects.shape[1]
+        np.testing.assert_allclose(found.objects[row, :, :count], expected.objects, rtol=0, atol=2e-6)
+        assert not found.objects[row, :, count:].any()
+        single.commit(int(taken[row]))
+    batch.commit(plan, tensors.asarray(taken))
+    np.testing.assert_array_equal(batch.state.frame, [single.frame for single in singles])
+    np.testing.assert_array_equal(batch.holding, [single.holding for single in singles])
+    np.testing.assert_allclose(batch.deviation, [single.deviation for single in singles], atol=1e-7)
+    np.testing.assert_allclose(
+        batch.state.opening_progress, [single.opening_progress for single in singles], rtol=0, atol=1e-12
+    )
+
+
+@pytest.mark.slow
+@settings(max_examples=6, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_random_actions_give_equal_motions_of_tensors(tensors: ArrayFactory, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    batch, singles = start(tensors)
+    actions = np.zeros((COUNT, 8), dtype=np.float32)
+    for number in range(14):
+        if number % 3 == 0:
+            actions = rng.uniform(-1.0, 1.0, (COUNT, 8)).astype(np.float32) * HIGH
+            actions[rng.random(COUNT) < 0.3] = NO_DEVIATION
+        compare(tensors, batch, singles, rng, actions)
+
+
+def test_previews_of_tensors_are_those_of_single_givers(tensors: ArrayFactory) -> None:
+    batch, singles = start(tensors)
+    for frames in ([0, 0, 0, 0], [700, 3, 1500, 10], [scene.n_frames - 1 for scene in SCENES]):
+        batch.state.frame[:] = tensors.asarray(frames)
+        wrists, objects = batch.read_previews(tensors.arange(COUNT))
+        for row, (single, frame) in enumerate(zip(singles, frames, strict=True)):
+            expected = single.preview(frame)
+            np.testing.assert_allclose(wrists[row], expected[0], atol=1e-6)
+            np.testing.assert_allclose(objects[row], expected[1], atol=1e-6)
