@@ -14,6 +14,7 @@ from handover_marl.episode.giver_motion import (
     NEVER,
     NO_DEVIATION,
     GiverMotion,
+    count_steps_until_pick_up,
     find_pick_up_frame,
     find_wrist_in_base,
     requests_release,
@@ -234,6 +235,8 @@ def test_the_object_is_picked_up_beyond_five_millimetres() -> None:
     moved = dof.copy()
     moved[1:, 0, 1] = 0.25, 0.25, 0.5
     assert find_pick_up_frame(replace(SCENE, object_dof=moved), 0.25) == 3, "not at the distance itself"
+    counts = count_steps_until_pick_up(np.array([5, 9]), np.array([3, 3]), np.array([[4, 5, 6], [3, 3, 3]]))
+    assert counts.tolist() == [2, 3], "the step from the frame itself moves the object"
 
 
 @settings(max_examples=20)
