@@ -9,6 +9,7 @@ os.environ.setdefault("RAY_worker_niceness", "0")
 
 # ruff: noqa: E402
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -56,6 +57,14 @@ def _no_data_by_default(monkeypatch: pytest.MonkeyPatch) -> None:
 def fake_data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of a small dataset in the official layout, which all tests share; do not write to it."""
     return write_layout(tmp_path_factory.mktemp("data") / "layout")
+
+
+@pytest.fixture(scope="module")
+def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Let the tests of a module share a cache folder that is empty at first."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        yield
 
 
 @pytest.fixture

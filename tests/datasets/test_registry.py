@@ -4,7 +4,6 @@ The generated data set in these tests has more than 1,000 scenes in a split, one
 """
 
 import pickle
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -21,14 +20,8 @@ from handover_marl.geometry.ycb import CLASS_NAMES
 from handover_marl.policies.policy import make_policy_context
 from tests.helpers.short_episodes import shorten_episodes
 
+pytestmark = pytest.mark.usefixtures("own_cache")
 NAME, SCENES = "generated:n=2000,seed=7,procedural=1.0,objects=50", (1248, 1249)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-        yield
 
 
 def test_official_setups_and_scenes_are_the_default() -> None:

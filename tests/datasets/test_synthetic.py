@@ -1,18 +1,17 @@
 """Tests of the synthetic scenes: equality to the bit, statistics, and bodies that do not penetrate in simulation."""
 
-import hashlib
 from collections.abc import Iterator
 
 import numpy as np
 import pytest
 
 from handover_marl.assets.hand_model import SUBJECTS
-from handover_marl.datasets.dataset import Scene
 from handover_marl.datasets.splits import SETUPS, SPLIT_SIZES, SPLITS
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
 from handover_marl.errors import SceneError
 from handover_marl.simulation.bullet.worlds import ExactWorld
+from tests.helpers.equality import hash_scene
 
 DATASET = SyntheticDataset()
 #: First digits of the scenes' hashes: they change with the generator's version and with nothing else.
@@ -29,16 +28,10 @@ HASHES = {
 }
 
 
-def digest(scene: Scene) -> str:
-    info = repr(scene.info).replace(", side=", f", subject={scene.info.subject!r}, side=")
-    content = scene.object_dof.tobytes() + scene.hand_dof.tobytes() + info.encode()
-    return hashlib.sha256(content).hexdigest()[:16]
-
-
 @pytest.mark.parametrize("scene_id", HASHES)
 def test_scenes_equal_their_checksums_and_have_the_statistics_of_recordings(scene_id: int) -> None:
     scene = DATASET.load_scene(scene_id)
-    assert digest(scene) == HASHES[scene_id]
+    assert hash_scene(scene) == HASHES[scene_id]
     assert (scene.n_frames - 1) % 80 == 40
     assert 65 <= (scene.n_frames - 1) / 40 <= 75
     assert scene.object_dof.dtype == scene.hand_dof.dtype == np.float32

@@ -6,7 +6,6 @@ import inspect
 import linecache
 import re
 import shlex
-import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -26,6 +25,7 @@ from tests.docs.pages import PAGES, REPOSITORY, Block, blocks, inline_commands, 
 from tests.helpers.fake_layout import FakeScene, write_layout
 from tests.helpers.setup_file import read_setup
 from tests.helpers.short_episodes import shorten_episodes
+from tests.learning.training.scripts import import_file
 
 LANGUAGES = {"python", "bash", "ini", "text", "bibtex", "{include}", "{toctree}", "{eval-rst}"}
 SHELL = [
@@ -152,14 +152,8 @@ def _check_script(path: Path, arguments: list[str], monkeypatch: pytest.MonkeyPa
     """Check that a script exists and accepts the arguments; skip one that needs a library that is not installed."""
     described = re.search(r"(?:tyro\.cli\(|run_script\(main, )(\w+)[,)]", path.read_text())
     assert described, f"{path.name} takes no arguments"
-    monkeypatch.syspath_prepend(str(path.parent))
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    monkeypatch.setitem(sys.modules, path.stem, module)
     try:
-        spec.loader.exec_module(module)
+        module = import_file(path, monkeypatch)
     except ModuleNotFoundError as error:
         pytest.skip(str(error))
     try:

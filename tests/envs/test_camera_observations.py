@@ -97,9 +97,6 @@ def test_a_look_is_the_view_of_the_moment() -> None:
     np.testing.assert_array_equal(view.depth, observation["wrist_depth"][..., 0])
     np.testing.assert_array_equal(view.segmentation, observation["wrist_segmentation"][..., 0])
     np.testing.assert_array_equal(view.rgb, observation["wrist_rgb"])
-    assert (view.depth.dtype, view.segmentation.dtype, view.object_points.dtype) == (np.float32, np.uint8, np.float32)
-    assert len(view.object_points) == (view.segmentation == handover_marl.SegmentationLabel.TARGET).sum() > 50
-    assert len(view.hand_points) == (view.segmentation == handover_marl.SegmentationLabel.HAND).sum()
     env.close()
 
 

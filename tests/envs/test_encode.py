@@ -1,11 +1,13 @@
-"""Tests of encoded environments: the checks of Gymnasium, PettingZoo and Stable-Baselines3, seeds and errors."""
+"""Tests of encoded and flattened environments; other libraries' checks of them are in `test_conformance.py`."""
 
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
+from gymnasium import spaces
 
+from handover_marl import flatten
 from handover_marl.envs.constructors import parallel_env
 from handover_marl.envs.wrappers.encode import EncodedEnv, encode
 from handover_marl.envs.wrappers.freeze import freeze
@@ -53,6 +55,8 @@ def test_rewards_add_up_until_the_next_decision() -> None:
         (lambda world, view: encode(world, "receiver"), OptionError, "by agent for 2 agents"),
         (lambda world, view: encode(world, api="gymnasium"), OptionError, "one agent, got giver and receiver"),
         (lambda world, view: freeze(encode(world), "receiver"), OptionError, "must not be encoded"),
+        (lambda world, view: freeze(flatten(world)), OptionError, "must not be encoded"),
+        (lambda world, view: encode(flatten(world)), OptionError, "encode once, before flattening"),
         (lambda world, view: encode(view).step({"receiver": np.zeros(7)}), ResetNeededError, "call reset"),
     ],
 )
@@ -71,3 +75,31 @@ def test_malformed_outputs_leave_the_world_alone(actions: Any) -> None:
         env.step(actions)
     np.testing.assert_array_equal(before, env.state())
     assert env.step({"receiver": np.zeros(7)})[4]["receiver"]["steps"] == 100
+
+
+def test_vectors_hold_all_that_dictionaries_show() -> None:
+    pytest.importorskip("embreex", reason="needs the extra `vision`")
+    world, plain = (parallel_env(**SYNTHETIC, obs_mode="state+rgbd") for _ in range(2))
+    env = flatten(plain)
+    shown, seen = world.reset(seed=1)[0], env.reset(seed=1)[0]
+    assert shown["receiver"]["wrist_rgb"].any()
+    for agent, values in shown.items():
+        assert env.observation_space(agent).contains(seen[agent])
+        back: Any = spaces.unflatten(world.observation_space(agent), seen[agent])
+        for key, value in values.items():
+            np.testing.assert_array_equal(back[key], value)
+
+
+def test_supersuit_makes_the_spaces_of_all_agents_equal() -> None:
+    supersuit = pytest.importorskip("supersuit", reason="needs the extra `supersuit`")
+    env = encode(parallel_env(**SYNTHETIC, max_cycles=6))
+    env = supersuit.agent_indicator_v0(supersuit.pad_observations_v0(supersuit.pad_action_space_v0(env)))
+    assert env.observation_space("giver") == env.observation_space("receiver")
+    assert env.action_space("giver") == env.action_space("receiver")
+    envs = supersuit.concat_vec_envs_v1(supersuit.pettingzoo_env_to_vec_env_v1(env), 2, base_class="gymnasium")
+    seen, _ = envs.reset(seed=0)
+    for _ in range(8):  # more steps than an episode has
+        seen, rewards, ended, timed_out, _ = envs.step(np.zeros((4, 8), np.float32))
+    assert seen.shape == (4, *env.observation_space("giver").shape)
+    assert rewards.shape == ended.shape == timed_out.shape == (4,)
+    envs.close()

@@ -1,6 +1,7 @@
-"""Tests of wrappers made for PettingZoo, inside and outside of this library's wrappers and in vector environments."""
+"""Tests of wrappers and vector environments of PettingZoo and Gymnasium, and of wrappers in vector environments."""
 
 import sys
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -9,11 +10,13 @@ import pytest
 from pettingzoo.utils.wrappers import BaseParallelWrapper
 
 import handover_marl
+from handover_marl.config import CameraConfig, ProtocolConfig, WorldConfig
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.vector.vector_env import HandoverVectorEnv
 from handover_marl.envs.wrappers.wrapper import EpisodeReturns
 from handover_marl.errors import OptionError
 from tests.envs.custom_rewards import approach
+from tests.helpers.equality import assert_equal
 
 OPTIONS: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "split": "val", "max_cycles": 6}
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
@@ -119,3 +122,36 @@ def test_make_vec_uses_the_vector_environment() -> None:
     giver = gymnasium.make_vec("HandoverMARL/Giver-v0", 1, features="giver", schemes="offer", partner="hold", **OPTIONS)
     assert giver.single_action_space.shape == (7,)
     giver.close()
+
+
+@pytest.mark.slow
+def test_processes_of_gymnasium_repeat_from_their_seed() -> None:
+    """Environments in processes equal those in this one, also after more steps than those of an episode."""
+    ends = []
+    for mode in ("async", "sync"):
+        # The name includes the module, so that worker processes import it, whatever their start method.
+        options = {**OPTIONS, "split": "train", "vectorization_mode": mode}
+        envs = gymnasium.make_vec("handover_marl:HandoverMARL/Receiver-v0", 2, **options)
+        envs.action_space.seed(5)
+        envs.reset(seed=5)
+        ends.append([envs.step(envs.action_space.sample())[:2] for _ in range(8)])
+        envs.close()
+    assert_equal(*ends)
+    poses = ends[0][-1][0]["object_poses"]
+    assert not np.array_equal(poses[0], poses[1]), "seeds 5 and 6 differ"
+
+
+@pytest.mark.slow
+def test_videos_have_the_duration_of_the_episode(tmp_path: Path) -> None:
+    """Videos have images before the first and after each control period, of which the last may be shorter."""
+    ffmpeg: Any = pytest.importorskip("imageio_ffmpeg", reason="needs the extra `render`")
+    options = {**OPTIONS, "max_cycles": None, "control_period": 0.15, "render_mode": "rgb_array"}
+    options |= {"world_config": WorldConfig(protocol=ProtocolConfig(horizon_steps=600))}
+    live = handover_marl.parallel_env(**options, camera=CameraConfig(width=64, height=48))
+    env = gymnasium.wrappers.RecordVideo(handover_marl.freeze(live, "giver", "hold", api="gymnasium"), str(tmp_path))
+    env.reset(seed=0)
+    while not any(env.step(np.zeros(8, dtype=np.float32))[2:4]):
+        pass
+    env.close()
+    (video,) = tmp_path.glob("*.mp4")
+    assert 0.15 - 1e-2 < ffmpeg.count_frames_and_secs(str(video))[1] - 0.6 < 0.3 + 1e-2

@@ -74,8 +74,6 @@ def test_infos_fit_into_vector_environments(fake_data: Path, monkeypatch: pytest
 @pytest.mark.parametrize(
     ("agent", "partner", "error", "message"),
     [
-        ("receiver", "nobody", UnknownNameError, "giver 'nobody'; valid: adaptive, cooperative"),
-        ("giver", "nobody", UnknownNameError, "receiver 'nobody'; valid: gaddpg, hold, learned, omg"),
         ("giver", "replay", OptionError, "must be a receiver, because the giver is controlled, .* agent='receiver'"),
         ("robot", None, UnknownNameError, "agent"),
         ("receiver", dict, OptionError, r"must be a subclass of handover_marl\.givers\.Giver"),

@@ -17,6 +17,7 @@ from handover_marl.episode.observations import Observation
 from handover_marl.givers import Action, Giver, make_giver_action
 from handover_marl.policies.reference import parse_policy
 from tests.envs.test_handover_env import REPLAY, START
+from tests.episode.test_loop import ScribblingGiver
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
 
@@ -35,7 +36,7 @@ def make_env(control_period: float = 0.1) -> HandoverEnv:
     return handover_marl.parallel_env(world_config=config, control_period=control_period, **options)
 
 
-def play_pair(agent: str, partner: str, scene: int) -> tuple[Any, Observation]:
+def play_pair(agent: str, partner: Any, scene: int) -> tuple[Any, Observation]:
     """Play an episode of a partner and an agent at rest as `pair` does; return outcome and last observation."""
     base = make_env()
     config = base.config
@@ -50,12 +51,14 @@ def play_pair(agent: str, partner: str, scene: int) -> tuple[Any, Observation]:
     return end
 
 
-def play_frozen(agent: str, partner: str, scene: int, period: float) -> tuple[Any, Observation]:
-    """Play this episode in an environment in which the partner is frozen and the other agent is at rest."""
+def play_frozen(agent: str, partner: Any, scene: int, period: float) -> tuple[Any, Observation]:
+    """Play this episode in an environment with a frozen partner; the other agent overwrites its observations."""
     (live,) = {"giver", "receiver"} - {agent}
     env = handover_marl.freeze(make_env(period), live, partner)
-    env.reset(seed=SEED, options={"scene_id": scene})
+    observations, _ = env.reset(seed=SEED, options={"scene_id": scene})
     while env.agents:
+        for value in observations[live].values():
+            value[...] = 0.0
         observations, _, _, _, infos = env.step({live: AT_REST[live]})
     env.close()
     return tuple(int(infos[live][key]) for key in ("status", "steps", "release_step")), observations[live]
@@ -71,10 +74,11 @@ def play_frozen(agent: str, partner: str, scene: int, period: float) -> tuple[An
         ("receiver", "gaddpg:wait=1.2", 9, 0.1),
         ("giver", "tired", 14, 0.01),
         ("giver", "noisy", 19, 0.05),
+        ("giver", ScribblingGiver, 69, 0.1),
     ],
 )
-def test_partners_act_as_in_pair(agent: str, partner: str, scene: int, period: float) -> None:
-    if partner.startswith("gaddpg"):
+def test_partners_act_as_in_pair(agent: str, partner: Any, scene: int, period: float) -> None:
+    if str(partner).startswith("gaddpg"):
         pytest.importorskip("embreex", reason="needs the extra `vision`")
     outcome, observation = play_pair(agent, partner, scene)
     own_outcome, own_observation = play_frozen(agent, partner, scene, period)

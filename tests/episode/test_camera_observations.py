@@ -32,6 +32,7 @@ from handover_marl.simulation.camera.noise import CameraNoise
 from handover_marl.simulation.camera.optics import HANDOVERSIM_MODEL, PINHOLE_MODEL, deproject
 from handover_marl.simulation.camera.ray_camera import RayCamera
 from handover_marl.simulation.world import World
+from tests.helpers.equality import assert_equal
 
 Observation = dict[str, npt.NDArray[Any]]
 
@@ -62,12 +63,6 @@ def make_wrist_camera(world: World, seed: int = 0, **options: Any) -> WristCamer
     wrist_camera.reset(SCENE, world)
     wrist_camera.seed(seed)
     return wrist_camera
-
-
-def assert_same(first: Observation, second: Observation) -> None:
-    assert first.keys() == second.keys()
-    for key, value in first.items():
-        np.testing.assert_array_equal(value, second[key], err_msg=key)
 
 
 def as_dict(view: CameraCapture) -> Observation:
@@ -124,7 +119,7 @@ def test_a_combination_has_what_its_parts_have(world: World) -> None:
     for options in ({}, {"camera_noise": NOISY}):
         seen = make_wrist_camera(world, **options).observe("state+" + "+".join(parts), world, STEPS)
         alone = [make_wrist_camera(world, **options).observe(part, world, STEPS) for part in parts]
-        assert_same(seen, {key: value for observation in alone for key, value in observation.items()})
+        assert_equal(seen, {key: value for observation in alone for key, value in observation.items()})
         assert "wrist_segmentation" not in seen
 
 
@@ -227,9 +222,9 @@ def test_observations_do_not_depend_on_earlier_images(world: World, renderer: st
     for look in LOOKS:
         wrist_camera = make_wrist_camera(world, 3, renderer=renderer, camera_noise=camera)
         look(wrist_camera, world)
-        assert_same(wrist_camera.observe(POINTCLOUD, world, STEPS), points)
-        assert_same(as_dict(wrist_camera.capture(world, STEPS)), view)
-        assert_same(wrist_camera.observe(POINTCLOUD, world, STEPS), points)
+        assert_equal(wrist_camera.observe(POINTCLOUD, world, STEPS), points)
+        assert_equal(as_dict(wrist_camera.capture(world, STEPS)), view)
+        assert_equal(wrist_camera.observe(POINTCLOUD, world, STEPS), points)
 
 
 @pytest.mark.parametrize("camera", [None, NOISY])
@@ -246,10 +241,10 @@ def test_draws_repeat_from_seed_and_step(world: World, camera: CameraNoise | Non
         wrist_camera.seed(seed)
         np.testing.assert_array_equal(wrist_camera.observe(POINTCLOUD, world, STEPS)[OBJECT], drawn(seed, STEPS))
     wrist_camera.seed(0)
-    assert_same(wrist_camera.observe(POINTCLOUD, world, STEPS), first)
+    assert_equal(wrist_camera.observe(POINTCLOUD, world, STEPS), first)
     unseeded = WristCamera(WristCameraConfig(renderer="rays", camera_noise=camera), "fast", OFFICIAL_CONFIG.physics)
     unseeded.reset(SCENE, world)
-    assert_same(unseeded.observe(POINTCLOUD, world, STEPS), first)
+    assert_equal(unseeded.observe(POINTCLOUD, world, STEPS), first)
 
 
 def test_arrays_may_be_written_to(world: World) -> None:
@@ -262,8 +257,8 @@ def test_arrays_may_be_written_to(world: World) -> None:
         seen = look(wrist_camera)
         for value in seen.values():
             value[...] = 7
-        assert_same(look(wrist_camera), look(fresh))
-        assert_same(look(wrist_camera), look(fresh))
+        assert_equal(look(wrist_camera), look(fresh))
+        assert_equal(look(wrist_camera), look(fresh))
 
 
 # ----------------------------------------------------------------------------------------------------- camera noise
@@ -274,8 +269,8 @@ def test_a_camera_without_faults_is_perfect(world: World) -> None:
         perfect = make_wrist_camera(world, 1, renderer=renderer)
         flawless = make_wrist_camera(world, 1, renderer=renderer, camera_noise=PERFECT)
         assert not flawless.has_latency
-        assert_same(flawless.observe(POINTCLOUD, world, STEPS), perfect.observe(POINTCLOUD, world, STEPS))
-        assert_same(as_dict(flawless.capture(world, STEPS)), as_dict(perfect.capture(world, STEPS)))
+        assert_equal(flawless.observe(POINTCLOUD, world, STEPS), perfect.observe(POINTCLOUD, world, STEPS))
+        assert_equal(as_dict(flawless.capture(world, STEPS)), as_dict(perfect.capture(world, STEPS)))
 
 
 class Diary:
@@ -304,7 +299,7 @@ class Diary:
                 np.testing.assert_array_equal(seen, was)
             places, before = transform_points(now, seen), transform_points(self.links[step], was)
             np.testing.assert_allclose(places, before, rtol=0.0, atol=5e-6)
-        assert_same(arrived, then)
+        assert_equal(arrived, then)
 
 
 @pytest.mark.slow

@@ -1,24 +1,29 @@
-"""Tests of the effects of the giver's action on the recorded motion, of one giver and of several at once."""
+"""Tests of the effects of the giver's action on the recorded motion of one giver and of tensors of several."""
 
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from handover_marl.config import TIME_STEP
 from handover_marl.episode.giver_motion import (
     NEVER,
     NO_DEVIATION,
+    GiverMotion,
+    count_steps_until_pick_up,
     find_pick_up_frame,
     find_wrist_in_base,
     requests_release,
 )
-from handover_marl.episode.wrist_offset import move_with_wrists
+from handover_marl.episode.wrist_offset import move_with_wrists, track_set_points
+from handover_marl.geometry.arrays import ArrayFactory, make_tensor_factory
 from handover_marl.geometry.kinematic_tree import compute_link_trajectory
 from handover_marl.simulation.reference_tracking import WRIST_LINK, ReferenceMotion
-from tests.episode.one_giver import CONFIG, SCENES, OneGiver
+from tests.episode.one_giver import CONFIG, COUNT, HIGH, SCENES, OneGiver
 
 SCENE = SCENES[0]
 
@@ -230,6 +235,8 @@ def test_the_object_is_picked_up_beyond_five_millimetres() -> None:
     moved = dof.copy()
     moved[1:, 0, 1] = 0.25, 0.25, 0.5
     assert find_pick_up_frame(replace(SCENE, object_dof=moved), 0.25) == 3, "not at the distance itself"
+    counts = count_steps_until_pick_up(np.array([5, 9]), np.array([3, 3]), np.array([[4, 5, 6], [3, 3, 3]]))
+    assert counts.tolist() == [2, 3], "the step from the frame itself moves the object"
 
 
 @settings(max_examples=20)
@@ -263,3 +270,123 @@ def test_an_opening_hand_opens_evenly() -> None:
     fingers = np.concatenate([part.hand[:, 6:] for part in parts])
     np.testing.assert_allclose(fingers, (1.0 - CONFIG.opening * opened[:, None]) * before[6:], atol=1e-6)
     np.testing.assert_array_equal(np.concatenate([part.hand[:, :6] for part in parts]), np.tile(before[:6], (500, 1)))
+
+
+components = st.floats(-0.5, 0.5)
+SPEED, ACCELERATION = 0.8, 5.0
+LIMITS = np.array([[SPEED, 2.5], [ACCELERATION, 15.0]])
+
+
+def track(*targets: tuple[npt.ArrayLike, int]) -> np.ndarray:
+    """Return the values (n, 3) while several set points are tracked in turn."""
+    value, velocity, parts = np.zeros((1, 2, 3)), np.zeros((1, 2, 3)), [np.zeros((0, 3))]
+    for set_point, steps in targets:
+        goals = np.tile(np.array(set_point, dtype=float), (1, 2, 1))
+        values, velocities = track_set_points(value, velocity, goals, steps, LIMITS)
+        value, velocity = values[:, -1], velocities[:, -1]
+        parts.append(values[0, :, 0])
+    return np.concatenate(parts)
+
+
+@pytest.mark.slow
+@given(st.lists(st.tuples(st.tuples(components, components, components), st.integers(1, 300)), max_size=4))
+def test_speed_and_acceleration_are_limited(targets: list[tuple[tuple[float, float, float], int]]) -> None:
+    values = np.concatenate([np.zeros((2, 3)), track(*targets)])
+    velocity = np.diff(values, axis=0) / TIME_STEP
+    assert np.linalg.norm(velocity, axis=1).max(initial=0.0) <= SPEED + 1e-9
+    # On arrival, the value is set to the goal, a change of less than a micrometre.
+    acceleration = np.linalg.norm(np.diff(velocity, axis=0), axis=1) / TIME_STEP
+    assert acceleration.max(initial=0.0) <= ACCELERATION + 1.1
+
+
+@pytest.mark.slow
+@given(st.tuples(components, components, components))
+def test_the_set_point_is_reached_exactly_and_kept(goal: tuple[float, float, float]) -> None:
+    np.testing.assert_array_equal(track((goal, 2500))[-200:], np.tile(goal, (200, 1)))
+
+
+def test_there_is_no_overshoot() -> None:
+    values = track(([0.2, 0.0, 0.0], 1000))
+    assert values[:, 0].max() <= 0.2 + 2e-6
+    assert values[-1, 0] == 0.2
+
+
+def test_the_number_of_steps_per_call_does_not_matter() -> None:
+    goal = [0.1, -0.2, 0.05]
+    np.testing.assert_array_equal(track((goal, 300)), track(*((goal, n) for n in (1, 99, 7, 193))))
+
+
+def test_an_offset_that_passes_its_set_point_returns() -> None:
+    value, velocity = np.array([[[0.1, 0.0, 0.0], [0.0, 0.2, 0.0]]]), np.array([[[0.5, 0.0, 0.0], [0.0, 0.0, -1.0]]])
+    path, speeds = track_set_points(value, velocity, value, 1000, LIMITS)
+    assert np.abs(path - value[:, None]).max() > 0.01
+    np.testing.assert_array_equal(path[:, -1], value)
+    assert not speeds[:, -1].any()
+
+
+# ------------------------------------------------------------------------------------------------- givers on tensors
+
+
+@pytest.fixture(scope="module")
+def tensors() -> ArrayFactory:
+    pytest.importorskip("torch", reason="needs the extra `train`")
+    return make_tensor_factory("cpu")
+
+
+def start(tensors: ArrayFactory) -> tuple[GiverMotion, list[OneGiver]]:
+    batch = GiverMotion(COUNT, CONFIG, tensors)
+    for row, scene in enumerate(SCENES):
+        batch.reset(row, scene)
+    return batch, [OneGiver(scene) for scene in SCENES]
+
+
+def compare(
+    tensors: ArrayFactory, batch: GiverMotion, singles: list[OneGiver], rng: np.random.Generator, actions: np.ndarray
+) -> None:
+    """Plan and commit some steps, with random releases of the objects, and compare every value with single givers."""
+    steps = int(rng.integers(1, 201))
+    released = rng.random(COUNT) < 0.3
+    opening = released & (rng.random(COUNT) < 0.5)
+    plan = batch.plan(tensors.arange(COUNT), steps, *map(tensors.asarray, (actions, released, opening)))
+    taken = np.where(rng.random(COUNT) < 0.8, steps, rng.integers(0, steps + 1, COUNT))
+    for row, single in enumerate(singles):
+        expected = single.plan(steps, actions[row], bool(released[row]), bool(opening[row]))
+        found = plan.reference
+        np.testing.assert_allclose(found.hand[row], expected.hand, rtol=0, atol=2e-6)
+        np.testing.assert_array_equal(found.hand_present[row], expected.hand_present)
+        count = expected.objects.shape[1]
+        np.testing.assert_allclose(found.objects[row, :, :count], expected.objects, rtol=0, atol=2e-6)
+        assert not found.objects[row, :, count:].any()
+        single.commit(int(taken[row]))
+    batch.commit(plan, tensors.asarray(taken))
+    np.testing.assert_array_equal(batch.state.frame, [single.frame for single in singles])
+    np.testing.assert_array_equal(batch.holding, [single.holding for single in singles])
+    np.testing.assert_allclose(batch.deviation, [single.deviation for single in singles], atol=1e-7)
+    np.testing.assert_allclose(
+        batch.state.opening_progress, [single.opening_progress for single in singles], rtol=0, atol=1e-12
+    )
+
+
+@pytest.mark.slow
+@settings(max_examples=6, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_random_actions_give_equal_motions_of_tensors(tensors: ArrayFactory, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    batch, singles = start(tensors)
+    actions = np.zeros((COUNT, 8), dtype=np.float32)
+    for number in range(14):
+        if number % 3 == 0:
+            actions = rng.uniform(-1.0, 1.0, (COUNT, 8)).astype(np.float32) * HIGH
+            actions[rng.random(COUNT) < 0.3] = NO_DEVIATION
+        compare(tensors, batch, singles, rng, actions)
+
+
+def test_previews_of_tensors_are_those_of_single_givers(tensors: ArrayFactory) -> None:
+    batch, singles = start(tensors)
+    for frames in ([0, 0, 0, 0], [700, 3, 1500, 10], [scene.n_frames - 1 for scene in SCENES]):
+        batch.state.frame[:] = tensors.asarray(frames)
+        wrists, objects = batch.read_previews(tensors.arange(COUNT))
+        for row, (single, frame) in enumerate(zip(singles, frames, strict=True)):
+            expected = single.preview(frame)
+            np.testing.assert_allclose(wrists[row], expected[0], atol=1e-6)
+            np.testing.assert_allclose(objects[row], expected[1], atol=1e-6)

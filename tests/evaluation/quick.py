@@ -34,7 +34,7 @@ class QuickReceiver(Receiver):
         return observation["robot_joint_position"]
 
 
-def run(data: Path, out: Path | None = None, **options: Any) -> Report:
+def run(data: Path | None, out: Path | None = None, **options: Any) -> Report:
     """Evaluate a receiver that holds still with the official giver in two scenes, unless `options` say otherwise."""
     named = {"giver": "replay", "receiver": QuickReceiver, "setup": "s0", "split": "val", "scenes": SCENES}
     named |= {"physics": "fast", "world_config": SHORT, "progress": False, "workers": 1}

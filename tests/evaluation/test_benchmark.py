@@ -2,6 +2,7 @@
 
 import json
 import os
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,8 @@ import yaml
 
 import handover_marl
 from handover_marl import EvaluationConfig, ExecutionConfig
+from handover_marl.config import ProtocolConfig, WorldConfig
+from handover_marl.episode.episode import Episode
 from handover_marl.errors import (
     DataNotFoundError,
     OptionError,
@@ -19,10 +22,11 @@ from handover_marl.errors import (
     ResultsError,
     SceneError,
     UnknownArgumentError,
-    UnknownNameError,
 )
 from handover_marl.evaluation.episode_runner import EpisodeRunner
+from handover_marl.evaluation.metadata import read_result_metadata
 from handover_marl.evaluation.reports.report import evaluate
+from handover_marl.evaluation.results import find_recordings
 from handover_marl.givers import Giver
 from tests.evaluation.quick import HORIZON, SCENES, SHORT, QuickReceiver, run, untimed
 
@@ -144,7 +148,6 @@ def test_a_full_disk_loses_nothing(fake_data: Path, tmp_path: Path, monkeypatch:
 @pytest.mark.parametrize(
     ("options", "error", "message"),
     [
-        ({"receiver": "nobody"}, UnknownNameError, "receiver 'nobody'; valid: gaddpg, hold, learned, omg"),
         ({"scenes": [9, 10]}, SceneError, "scene 10 is not in s0 val"),
         ({"scenes": []}, SceneError, "scenes must not be empty"),
         ({"scenes": [19]}, DataNotFoundError, "meta_019"),
@@ -217,3 +220,62 @@ def test_folders_of_the_original_code(tmp_path: Path) -> None:
     assert report.episodes[0].scene_id == 209
     assert report.episodes[0].object_name == "003_cracker_box"
     assert "published: OMG Planner" in str(report)
+
+
+class Seeing(QuickReceiver):
+    """Receiver that observes point clouds and holds still."""
+
+    name = "seeing"
+    obs_mode = "state+pointcloud"
+
+    def __init__(self, context: Any, wait: float = 0.0) -> None:
+        super().__init__(context)
+        self._wait = wait
+
+    @property
+    def wait(self) -> float:
+        return self._wait
+
+
+@pytest.mark.slow
+def test_results_store_robot_observation_mode_and_wait(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    draw = Episode.observe_camera
+
+    def slowly(self: Episode, obs_mode: str) -> Any:
+        time.sleep(0.2)
+        return draw(self, obs_mode)
+
+    monkeypatch.setattr(Episode, "observe_camera", slowly)
+    options: dict[str, Any] = {"dataset": "synthetic", "receiver": (Seeing, {"wait": 1.5}), "scenes": [9]}
+    report = run(None, tmp_path, **options, robot="panda_camera", camera_model="pinhole")
+    assert report.episodes[0].plan_s < 0.2, "rendering time is not planning time"
+    settings = read_result_metadata(tmp_path)
+    assert (settings.robot, settings.wait_s) == ("panda_camera", "1.5")
+    assert (settings.obs_mode, settings.camera) == ("state+pointcloud", "renderer rays, camera model pinhole")
+    label = "(wait 1.5 s, obs_mode state+pointcloud, renderer rays, camera model pinhole, robot panda_camera)"
+    assert label in str(report)
+    bullet = {"robot": "panda_camera", "renderer": "bullet", "camera_model": "pinhole"}
+    for other in ({}, {"robot": "panda_camera"}, bullet):
+        with pytest.raises(ResultsError, match="holds another evaluation"):
+            run(None, tmp_path, **options, **other)
+
+
+@pytest.mark.slow
+def test_time_series_of_an_episode(tmp_path: Path) -> None:
+    """A finished episode is simulated again; the columns agree with each other and with the metrics."""
+    rules = WorldConfig(protocol=ProtocolConfig(horizon_steps=1000))
+    options = {"dataset": "synthetic", "scenes": [9], "receiver": "omg:wait=0", "world_config": rules}
+    run(None, tmp_path, **options)
+    (fluency,) = [episode.fluency for episode in run(None, tmp_path, traces=True, **options).episodes]
+    assert fluency is not None
+    path = tmp_path / "traces" / "009.csv"
+    assert find_recordings(tmp_path) == [path]
+    rows = np.genfromtxt(path, delimiter=",", names=True)
+    np.testing.assert_allclose(rows["time"], np.arange(51) * 0.02)
+    gripper, wrist = (np.stack([rows[f"{point}_{axis}"] for axis in "xyz"], axis=1) for point in ("gripper", "wrist"))
+    assert np.isfinite(wrist[-1]).all()
+    np.testing.assert_allclose(rows["gripper_wrist_distance"], np.linalg.norm(gripper - wrist, axis=1), atol=1e-5)
+    assert rows["gripper_speed"].max() == pytest.approx(fluency.gripper_max_speed, rel=1e-4) != 0.0
+    assert rows["robot_object_force"].max() == pytest.approx(fluency.max_robot_object_force, rel=1e-4)
+    with pytest.raises(OptionError, match="traces need an output folder"):
+        run(None, traces=True, **options)

@@ -1,6 +1,7 @@
 """Tests of comparisons of result folders, of two physics engines, and of cross-play."""
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from handover_marl.evaluation.comparison import Agreement
 from handover_marl.evaluation.metadata import ResultMetadata
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.results import EpisodeResult, ResultFolder, encode_result
+from tests.evaluation.reports.test_report import SETTINGS, episode
 from tests.helpers.short_episodes import shorten_episodes
 
 
@@ -89,12 +91,8 @@ def test_average_success_without_a_success_has_an_interval(tmp_path: Path) -> No
 
 
 def report(physics: str, ends: list[tuple[int, int]]) -> Report:
-    settings = ResultMetadata("s0", "val", "mine", "replay", physics, "dexycb", "0")
-    episodes = tuple(
-        EpisodeResult(index, EpisodeStatus(status), steps, 0.0, 100 + index, object_name="024_bowl", n_objects=1)
-        for index, (status, steps) in enumerate(ends)
-    )
-    return Report(settings, episodes)
+    episodes = (episode(index, *end, scene_id=100 + index) for index, end in enumerate(ends))
+    return Report(replace(SETTINGS, split="val", physics=physics), tuple(episodes))
 
 
 def test_text_of_an_agreement() -> None:
@@ -107,8 +105,8 @@ def test_text_of_an_agreement() -> None:
     assert ["metric", "fast %", "exact %", "fast minus exact, points", "n episodes"] in rows
     (rates,) = [row for row in rows if row[0] == "success"]
     assert [cell.split()[0] for cell in rates] == ["success", "75.00", "50.00", "+25.00", "4"]
-    assert ["102", "024_bowl", "drop", "success", "4100", "4900"] in rows
-    assert ["102", "024_bowl", "-", "-"] in rows
+    assert ["102", "003_cracker_box", "drop", "success", "4100", "4900"] in rows
+    assert ["102", "003_cracker_box", "-", "-"] in rows
     assert not any(row[0] in ("100", "101", "103") for row in rows), "agreeing scenes are not listed"
     assert "differ by 1 in the median" in text
     assert "3 at most" in text

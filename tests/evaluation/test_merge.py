@@ -21,6 +21,7 @@ from handover_marl.evaluation.benchmark import select_shard
 from handover_marl.evaluation.results import read_results
 from tests.evaluation.demonstrations.recording import record
 from tests.evaluation.quick import SHORT, QuickReceiver
+from tests.helpers.equality import read_files
 from tests.helpers.short_episodes import shorten_episodes
 
 #: Options of a small split with short episodes, which take little time.
@@ -34,11 +35,6 @@ def _times_stand_still() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(play, "time", SimpleNamespace(perf_counter=lambda: 0.0))
         yield
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    paths = sorted(path for path in folder.rglob("*") if path.is_file())
-    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
 
 
 def run(out: Path, **options: Any) -> handover_marl.Report:
@@ -58,9 +54,9 @@ def shards(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 def test_the_merged_folder_is_that_of_one_run(shards: list[Path], tmp_path: Path) -> None:
     whole = run(tmp_path / "whole")
     merged = handover_marl.merge([shards[2], shards[0], shards[1]], tmp_path / "merged")
-    assert contents(tmp_path / "merged") == contents(tmp_path / "whole")
+    assert read_files(tmp_path / "merged") == read_files(tmp_path / "whole")
     assert str(merged) == str(whole)
-    assert len(contents(tmp_path / "merged")) == 5 + len(SCENES)
+    assert len(read_files(tmp_path / "merged")) == 5 + len(SCENES)
     # The merged folder is resumed like that of a single evaluation.
     assert run(tmp_path / "merged").n_resumed == len(SCENES)
     shard = "2/3 of 9,14,19,24"
@@ -89,7 +85,7 @@ def test_a_whole_split(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: 
     (tmp_path / "aside").rename(gone)
     assert main(["merge", *folders, "--out", str(tmp_path / "merged")]) == 0
     assert capsys.readouterr().out.rpartition("\nResults: ")[0] == whole
-    assert contents(tmp_path / "merged") == contents(tmp_path / "whole")
+    assert read_files(tmp_path / "merged") == read_files(tmp_path / "whole")
 
 
 @pytest.mark.slow
@@ -130,7 +126,7 @@ def merge_two(evaluate: Callable[..., Any], folder: Path, **options: Any) -> Any
         evaluate(out=part, shard=f"{number}/2", **options)
     merged = handover_marl.merge(parts, folder / "merged")
     assert str(merged).replace("merged", "whole") == str(whole)
-    assert contents(folder / "merged") == contents(folder / "whole")
+    assert read_files(folder / "merged") == read_files(folder / "whole")
     return merged
 
 

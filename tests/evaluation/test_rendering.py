@@ -10,11 +10,12 @@ from handover_marl.cli import main
 from handover_marl.config import CameraConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import EpisodeCallback, run_episode
+from handover_marl.episode.loop import run_episode
 from handover_marl.errors import HandoverError, OptionError, UnknownNameError
 from handover_marl.evaluation import rendering as scene_rendering
 from handover_marl.evaluation.rendering import render_scene
 from handover_marl.visualization import pictures as drawing
+from tests.helpers.playing import StepRecorder
 
 CAMERA = CameraConfig(width=96, height=72)
 
@@ -53,14 +54,6 @@ def test_key_frames_span_the_episode(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert (shown[0] != shown[3]).any(axis=2).mean() > 0.003
 
 
-class Joints(EpisodeCallback):
-    def on_reset(self, episode: Episode) -> None:
-        self.rows: list[np.ndarray] = []
-
-    def on_step(self, episode: Episode) -> None:
-        self.rows.append(episode.world.read_agent_joints().robot)
-
-
 @pytest.mark.slow
 def test_rendering_does_not_change_the_episode() -> None:
     """Outcome and joints do not depend on when images are rendered, of a robot that moves at random."""
@@ -68,7 +61,7 @@ def test_rendering_does_not_change_the_episode() -> None:
     players = receivers.make("random", dataset), givers.make("noisy", dataset)
     ends = []
     for times in (range(0), range(0, 1500, 80)):
-        episode, joints = Episode("exact"), Joints()
+        episode, joints = Episode("exact"), StepRecorder(lambda now: now.world.read_agent_joints().robot)
         episode.reset(dataset.load_scene(209))
         recorder = drawing.FrameRecorder(times, lambda now: now.render(CAMERA))
         run_episode(episode, *players, seed=0, until=1500, callbacks=[joints, recorder])

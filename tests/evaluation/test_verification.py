@@ -93,6 +93,7 @@ def test_differences_are_named_by_their_values() -> None:
     result = make_report().episodes[0]
     assert result.fluency is not None
     fluency = replace(result.fluency, giver_path=2.0, reach=result.fluency.reach + 5e-7, gripper_jerk=1.5)
+    fluency = replace(fluency, handover_time=0.250005)
     changed = replace(result, status=EpisodeStatus.TIMEOUT, steps=1, plan_s=9.0, machine="other", fluency=fluency)
     changed = replace(changed, models="x" * 61, fingerprint="y" * 60)
     found = describe(compare_results(changed, result, same_version=True))
@@ -101,10 +102,11 @@ def test_differences_are_named_by_their_values() -> None:
         (209, "outcome", "timeout", "success"),
         (209, "fluency.giver_path", "2", path),
         (209, "fluency.gripper_jerk", "1.5", "none"),
+        (209, "fluency.handover_time", "0.250005", "0.25"),
         (209, "steps", "1", "4000"),
     ]
     versioned = [(209, "fingerprint", "y" * 60, "data"), (209, "models", "x" * 57 + "...", "MANO hands")]
-    assert found == [expected[0], versioned[0], *expected[1:3], versioned[1], expected[3]]
+    assert found == [expected[0], versioned[0], *expected[1:4], versioned[1], expected[4]]
     assert describe(compare_results(changed, result, same_version=False)) == expected
     unknown = replace(result, scene_id=None, models=None, fingerprint=None, n_objects=None, fluency=None)
     assert compare_results(unknown, result, same_version=True) == []
@@ -253,7 +255,8 @@ def test_a_last_run_of_fewer_scenes(tmp_path: Path) -> None:
     evaluate_pair("replay", "hold", "s0", "val", scenes=[SCENE], **options)
     assert check_reports(tmp_path) == ([], 1)
     found = verify(tmp_path, workers=1, progress=False, world_config=NOISY)
-    assert (found.is_verified, found.n_unreported) == (True, 1)
+    assert (found.is_verified, found.n_unreported, found.scenes) == (True, 1, (9, SCENE))
+    assert verify(tmp_path, workers=1, progress=False, world_config=NOISY, scenes=[9]).scenes == (9,)
     path = tmp_path / "config.yaml"
     path.write_text(path.read_text().replace("giver: replay", "giver: wary"))
     with pytest.raises(OptionError, match="'wary', which is not registered; pass giver="):

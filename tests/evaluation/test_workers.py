@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from tests.evaluation import quick
+from tests.helpers.equality import assert_equal
 
 pytestmark = pytest.mark.slow
 
@@ -42,12 +43,7 @@ def test_random_policies_are_independent_of_workers(fake_data: Path, tmp_path: P
     alone = files(tmp_path / "one")
     assert list(alone) == ["000.npz", "001.npz"]
     for name in ("two", "apart"):
-        others = files(tmp_path / name)
-        assert list(others) == list(alone)
-        for scene, expected in alone.items():
-            assert others[scene].keys() == expected.keys()
-            for key, value in expected.items():
-                np.testing.assert_array_equal(others[scene][key], value, err_msg=f"{name} {scene} {key}")
+        assert_equal(files(tmp_path / name), alone)
     # Both policies drew random numbers, which differ between scenes and seeds.
     first, second = (scene["action"][::100] for scene in alone.values())
     assert len(np.unique(first, axis=0)) == len(first) == quick.HORIZON // 100
@@ -195,10 +191,9 @@ def test_script_policies_in_workers(fake_data: Path, tmp_path: Path) -> None:
     assert once == "once"
     assert alone == together
     assert alone.startswith("0 [(9, 'timeout', 310")
-    for name, expected in files(tmp_path / "out" / "1").items():
-        for key, value in expected.items():
-            np.testing.assert_array_equal(files(tmp_path / "out" / "2")[name][key], value, err_msg=key)
-        assert len(np.unique(expected["action"], axis=0)) == 2
+    one, two = (files(tmp_path / "out" / name) for name in ("1", "2"))
+    assert_equal(two, one)
+    assert [len(np.unique(arrays["action"], axis=0)) for arrays in one.values()] == [2, 2]
     assert run_script(SCRIPT)[1:] == [f"2{alone[1:]}"] * 2
     for refusal in run_script(SCRIPT.replace("np.float32(0.01)", "np.float32(0.02)"))[1:]:
         assert "another evaluation (receiver hash" in refusal

@@ -1,4 +1,4 @@
-"""Tests of tasks in this process and in worker processes of this machine, and of invalid configurations."""
+"""Tests of tasks in this process and in worker processes of this machine, and of Ray without a cluster."""
 
 import os
 import signal
@@ -14,7 +14,8 @@ import pytest
 
 from handover_marl.errors import OptionError, ResultsError, UnknownNameError, WorkerError
 from handover_marl.execution.options import PoolConfig
-from handover_marl.execution.pool import Pool, map_with_progress, open_pool
+from handover_marl.execution.pool import Pool, get_installed_versions, map_with_progress, open_pool, run_ray_task
+from handover_marl.execution.tasks import pickle_by_value, unpickle_result
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -143,3 +144,22 @@ def test_deleted_working_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     command = [sys.executable, "-c", "import sys, os; sys.path.append(sys.argv[1]); import handover_marl"]
     finished = subprocess.run([*command, str(ROOT)], capture_output=True, text=True, check=False)
     assert "DataNotFoundError: the working directory does not exist any more" in finished.stderr
+
+
+def test_ray_that_does_not_run_is_reported_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("ray", reason="needs the extra `ray`")
+    started = time.perf_counter()
+    with pytest.raises(WorkerError, match=r"Ray cannot be reached at 127\.0\.0\.1:1 \(ConnectionRefusedError"):
+        next(open_pool(PoolConfig(backend="ray", ray_address="127.0.0.1:1")).map_unordered(nullcontext, [1]))
+    monkeypatch.setenv("RAY_ADDRESS", "ray://127.0.0.1:1")
+    with pytest.raises(WorkerError, match=r"Ray cannot be reached at ray://127\.0\.0\.1:1"):
+        next(open_pool(PoolConfig(backend="ray")).map_unordered(nullcontext, [1]))
+    assert time.perf_counter() - started < 30.0
+
+
+def test_nodes_must_have_the_same_versions() -> None:
+    job = pickle_by_value((lambda: nullcontext(str), str)), pickle_by_value(5)
+    assert unpickle_result(run_ray_task(get_installed_versions(), [], "one", *job)) == "5"
+    here = get_installed_versions() | {"numpy": "0.0.1"}
+    with pytest.raises(WorkerError, match=r"node .* has other versions \(numpy .* there, 0\.0\.1 here\)"):
+        unpickle_result(run_ray_task(here, [], "two", *job))

@@ -22,6 +22,7 @@ from handover_marl.errors import DataFormatError, PolicyError, WorkerError
 from handover_marl.evaluation import benchmark as evaluation
 from handover_marl.receivers import Receiver
 from tests.evaluation.test_workers import files
+from tests.helpers.equality import assert_equal
 
 ray = pytest.importorskip("ray", reason="needs the extra `ray`")
 cluster_utils = pytest.importorskip("ray.cluster_utils")
@@ -148,11 +149,7 @@ def assert_same(one: Path, other: Path) -> None:
     """Check that two result folders are equal, except for times and machines."""
     assert sorted(path.name for path in one.iterdir()) == sorted(path.name for path in other.iterdir())
     assert (one / "config.yaml").read_bytes() == (other / "config.yaml").read_bytes()
-    first, second = files(one), files(other)
-    for name, arrays in first.items():
-        assert arrays.keys() == second[name].keys()
-        for key, array in arrays.items():
-            np.testing.assert_array_equal(second[name][key], array, err_msg=f"{name} {key}", strict=True)
+    assert_equal(files(one), files(other))
 
 
 def test_data_folders_of_nodes(

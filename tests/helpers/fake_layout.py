@@ -1,7 +1,6 @@
 """Writer of a tiny dataset in HandoverSim's folder layout: objects are boxes, hands consist of spheres."""
 
 import json
-import pickle
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -99,19 +98,6 @@ def write_grasps(path: Path, n: int = 100) -> None:
     transforms[:, 1, 3] = -0.1
     content = np.array({b"transforms": transforms, b"grasp_file": b"none"}, dtype=object)
     np.save(path, content, allow_pickle=True)
-
-
-def evil_grasps(path: Path, marker: Path) -> None:
-    """Write a grasp file that would create `marker` if it were unpickled without restrictions."""
-
-    class Payload:
-        def __reduce__(self) -> tuple[object, ...]:
-            return (Path.touch, (marker,))
-
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("wb") as stream:
-        np.lib.format.write_array_header_1_0(stream, {"descr": "|O", "fortran_order": False, "shape": ()})
-        pickle.dump({"transforms": Payload()}, stream)
 
 
 def _write(path: Path, text: str) -> None:

@@ -22,6 +22,7 @@ from handover_marl.policies.policy import Giver, Policy, make_policy_context
 from handover_marl.policies.registry import list_available
 from handover_marl.receivers.reactive.config import ReactiveConfig
 from handover_marl.receivers.reactive.receiver import ReactiveReceiver
+from tests.helpers.equality import assert_equal
 from tests.receivers.quick import QUICK_PREPARATION
 
 SCENE = 209
@@ -151,12 +152,7 @@ def assert_same_until(end: int, recorded: Recorder, other: list[tuple[int, Obser
     """Check that observations and actions until a step are equal."""
     first = [event for event in recorded.events if event[0] <= end]
     second = [event for event in other if event[0] <= end]
-    assert [event[0] for event in first] == [event[0] for event in second]
-    for (step, before, action), (_, after, same_action) in zip(first, second, strict=True):
-        assert before.keys() == after.keys()
-        for key in before:
-            np.testing.assert_array_equal(before[key], after[key], err_msg=f"{key} at step {step}")
-        np.testing.assert_array_equal(action, same_action, err_msg=f"action at step {step}")
+    assert_equal(first, second)
 
 
 def choose_decisions(

@@ -18,6 +18,7 @@ from handover_marl.episode.episode import Episode
 from handover_marl.evaluation.benchmark import benchmark
 from handover_marl.geometry.ycb import SUBJECTS
 from handover_marl.receivers import WAITING_JOINTS
+from tests.helpers.equality import assert_equal
 
 
 @pytest.fixture(scope="module")
@@ -121,8 +122,7 @@ def test_a_hand_from_the_import_is_the_originals(
         episode.advance(np.array(WAITING_JOINTS, dtype=np.float32), 300)
         states.append(episode.observe())
         episode.close()
-    for key, value in states[0].items():
-        np.testing.assert_array_equal(value, states[1][key], err_msg=key)
+    assert_equal(*states)
 
 
 @pytest.mark.slow
@@ -130,3 +130,11 @@ def test_imported_scenes_are_played(imported: Path) -> None:
     report = benchmark(setup="s0", split="train", scenes=[5, 108], data_dir=imported, physics="fast", progress=False)
     assert all(episode.status and episode.steps > 3000 for episode in report.episodes)
     assert report.data_label == "DexYCB, 4 to 5 objects a scene, MANO hand"
+
+
+@pytest.mark.slow
+def test_models_equal_those_of_the_original_scripts_to_the_byte(imported: Path, raw_dexycb: Path) -> None:
+    entries = json.loads((raw_dexycb / "expected" / "checksums.json").read_text())["assets"]
+    assert len(entries) == 685
+    sums = {name: hashlib.sha256((imported / "assets" / name).read_bytes()).hexdigest() for name in entries}
+    assert sums == {name: entry["sha256"] for name, entry in entries.items()}

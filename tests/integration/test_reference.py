@@ -11,6 +11,7 @@ from handover_marl.datasets import OfficialDataset
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import ActionRecorder, EpisodeCallback, run_episode
 from handover_marl.episode.referee import EpisodeStatus
+from handover_marl.receivers.omg import OmgReceiver
 from tests.conftest import RECORDINGS
 from tests.helpers.playing import play
 
@@ -127,3 +128,22 @@ def test_yang_receiver_on_s0_val(recordings: Path, real_dataset: OfficialDataset
     found = episode.status, episode.steps, episode.release_step or -1
     assert found == (wanted["status"], wanted["steps"], wanted["release"])
     episode.close()
+
+
+def test_goal_set_holds_the_goal_of_the_original(real_dataset: OfficialDataset, recordings: Path) -> None:
+    """One of the planner's goals has the tail of the plan in HandoverSim's demonstration of scene 105."""
+    receiver = receivers.make("omg", real_dataset)
+    assert isinstance(receiver, OmgReceiver)
+    episode = Episode("fast")
+    episode.reset(real_dataset.load_scene(105))
+    receiver.reset()
+    episode.advance(receiver.act(episode.observe()), 3000)
+    receiver.act(episode.observe())
+    episode.close()
+    assert receiver.plan is not None
+    with np.load(recordings / "scene105_demo.npz") as recorded:
+        actions = recorded["action"]
+    changes = np.flatnonzero(np.abs(np.diff(actions, axis=0)).max(axis=1) > 1e-7) + 1
+    # The approach has 30 waypoints, the tail the last five of them.
+    tail = actions[changes[25:30], :7]
+    assert np.abs(receiver.plan.goals.tails - tail).max(axis=(1, 2)).min() < 1e-4

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from handover_marl.config import WorldConfig
@@ -16,6 +15,7 @@ from handover_marl.episode.spaces import OBS_PARTS
 from handover_marl.geometry.panda import PANDA_CAMERA
 from handover_marl.policies.policy import Policy
 from tests.episode.test_camera_observations import GOAL, STEPS
+from tests.helpers.equality import assert_equal
 from tests.integration.test_causality import RECEIVERS, Recorder, assert_same_until, make_receiver
 
 pytestmark = pytest.mark.slow
@@ -63,8 +63,5 @@ def test_observations_do_not_depend_on_the_scene_number(renderer: str, noise: st
     for scene in (SCENE, rename(SCENE, 777)):
         start(episode, scene, make_receiver("hold", DATA), 1)
         seen.append([{**episode.observe(), **episode.observe_camera(obs_mode)} for obs_mode in OBS_PARTS])
-    for first, second in zip(*seen, strict=True):
-        assert first.keys() == second.keys()
-        for key, value in first.items():
-            np.testing.assert_array_equal(value, second[key], err_msg=key)
+    assert_equal(*seen)
     episode.close()

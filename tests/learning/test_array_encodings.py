@@ -1,14 +1,24 @@
-"""Tests of features, action schemes and selected grasps of many episodes, which do not depend on each other."""
+"""Tests of features, action schemes and selected grasps of many episodes, on arrays and on tensors.
+
+Episodes do not depend on each other, and tensors have the values of arrays.
+"""
+
+import functools
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from handover_marl.episode.observations import Observation
+from handover_marl.geometry.arrays import ArrayFactory, is_tensor, to_numpy
 from handover_marl.geometry.poses import compose, inverse_transform_points
 from handover_marl.learning.features import make_array_features, make_features
 from handover_marl.learning.grasp_selector import MAX_CLEARANCE, LowestCostGraspSelector
 from handover_marl.learning.schemes import make_array_scheme, make_scheme
 from handover_marl.receivers.grasp_library import load_hand_poses
+from tests.helpers.tensors import make_device_tensors
 from tests.learning.array_encodings import CONTEXT, COUNT, FEATURES, ROWS, SCHEMES, draw_observation, select
 
 
@@ -73,3 +83,81 @@ def test_actions_do_not_depend_on_other_episodes(agent: str, name: str) -> None:
                 expected.append(scheme.compute_action(one))
             together.set_outputs(ROWS[needs], outputs[needs])
             np.testing.assert_array_equal(together.compute_actions(ROWS, observation), np.stack(expected), strict=True)
+
+
+N_ROWS, N_STATES = 6, 14
+
+
+@functools.cache
+def draw_observations() -> list[Observation]:
+    """Return random observations (N_ROWS, ...), in every second one of which grippers are near grasps."""
+    rng, found = np.random.default_rng(0), []
+    for seed in range(N_STATES):
+        found.append(select(draw_observation(seed), np.arange(N_ROWS)))
+        if seed % 2:
+            grasps, _, exists = LowestCostGraspSelector(CONTEXT, N_ROWS).select(np.arange(N_ROWS), found[-1])
+            found[-1]["gripper_pose"][exists] = grasps[exists] + rng.normal(scale=0.03, size=(exists.sum(), 7))
+    return found
+
+
+@pytest.fixture
+def arrays() -> Iterator[ArrayFactory]:
+    with make_device_tensors() as factory:
+        yield factory
+
+
+def iterate_steps(arrays: ArrayFactory, *batches: Any) -> Iterator[tuple[np.ndarray, Observation, Any, Any]]:
+    """Yield rows and observations of some episodes on the host and as tensors; reset some episodes before."""
+    rng = np.random.default_rng(1)
+    for drawn in draw_observations():
+        for row in np.flatnonzero(rng.random(N_ROWS) < 0.1).tolist():
+            for batch in batches:
+                batch.reset(row)
+        rows = rng.permutation(N_ROWS)[: rng.integers(1, N_ROWS + 1)]
+        observation = select(drawn, rows)
+        tensors = {key: arrays.asarray(values) for key, values in observation.items()}
+        yield rows, observation, arrays.asarray(rows), tensors
+
+
+def assert_equal(found: Any, expected: np.ndarray, tolerance: float = 2e-6) -> None:
+    assert is_tensor(found)
+    own = to_numpy(found)
+    assert own.dtype == expected.dtype
+    np.testing.assert_allclose(own, expected, rtol=tolerance, atol=tolerance)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("agent", "name"), FEATURES)
+def test_features_of_tensors(agent: str, name: str, arrays: ArrayFactory) -> None:
+    host = make_array_features(agent, name, CONTEXT, LowestCostGraspSelector(CONTEXT, N_ROWS), N_ROWS)
+    batch = make_array_features(agent, name, CONTEXT, LowestCostGraspSelector(CONTEXT, N_ROWS, arrays), N_ROWS, arrays)
+    for rows, observation, own_rows, tensors in iterate_steps(arrays, host, batch):
+        assert_equal(batch(own_rows, tensors), host(rows, observation))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("agent", "name"), SCHEMES)
+def test_actions_of_tensors(agent: str, name: str, arrays: ArrayFactory) -> None:
+    host = make_array_scheme(agent, name, CONTEXT, LowestCostGraspSelector(CONTEXT, N_ROWS), N_ROWS)
+    batch = make_array_scheme(agent, name, CONTEXT, LowestCostGraspSelector(CONTEXT, N_ROWS, arrays), N_ROWS, arrays)
+    rng, n_outputs = np.random.default_rng(2), 0
+    for rows, observation, own_rows, tensors in iterate_steps(arrays, host, batch):
+        needs, own_needs = host.needs_outputs(rows, observation), batch.needs_outputs(own_rows, tensors)
+        assert_equal(own_needs, needs)
+        outputs = rng.uniform(-1.3, 1.3, (needs.sum(), host.size)).astype(np.float32)
+        n_outputs += len(outputs)
+        host.set_outputs(rows[needs], outputs)
+        batch.set_outputs(own_rows[own_needs], arrays.asarray(outputs))
+        assert_equal(batch.compute_actions(own_rows, tensors), host.compute_actions(rows, observation))
+    assert n_outputs > N_ROWS
+
+
+def test_selections_of_tensors(arrays: ArrayFactory) -> None:
+    host, batch = LowestCostGraspSelector(CONTEXT, N_ROWS), LowestCostGraspSelector(CONTEXT, N_ROWS, arrays)
+    n_grasps = 0
+    for rows, observation, own_rows, tensors in iterate_steps(arrays):
+        expected, found = host.select(rows, observation), batch.select(own_rows, tensors)
+        n_grasps += int(expected[2].sum())
+        for one, other in zip(found, expected, strict=True):
+            assert_equal(one, other, 1e-9)
+    assert n_grasps > N_ROWS

@@ -7,13 +7,13 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.episode.episode import Episode
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.model_files.meshes import read_link_vertices
 from handover_marl.geometry.model_files.urdf import read_urdf_shapes
 from handover_marl.geometry.poses import transform_points
 from handover_marl.planning.hand_tracker import Capsules, HandTracker, hand_capsules_from_observation
+from tests.helpers.playing import observe_handover
 
 SCENE = SyntheticDataset().load_scene(5)
 numbers = st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3).map(np.array)
@@ -21,11 +21,7 @@ numbers = st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3).map(np.array)
 
 @pytest.fixture(scope="module")
 def observation() -> Observation:
-    episode = Episode("fast")
-    episode.reset(SCENE)
-    observation = episode.observe()
-    episode.close()
-    return observation
+    return observe_handover(SCENE, 0)
 
 
 @given(numbers, numbers, numbers)

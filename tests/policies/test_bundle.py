@@ -6,14 +6,13 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import DataNotFoundError, PolicyError
 from handover_marl.learning.adapters.function_policy import DEFAULT_GIVER_FILE
 from handover_marl.policies.reference import PolicyBundle, parse_policy
-from handover_marl.receivers import Receiver
+from handover_marl.receivers.baselines import HoldReceiver
 from handover_marl.version import __version__
 
 CODE = """
@@ -31,7 +30,7 @@ class Mine(Receiver):
 """
 
 
-class Reads(Receiver):
+class Reads(HoldReceiver):
     """Receiver that reads a constant from a file, or from all files of a folder."""
 
     name = "reads"
@@ -43,12 +42,6 @@ class Reads(Receiver):
         self.names = [path.name, *(file.name for file in files if path.is_dir())]
         self.constant = sum(float(file.read_text()) for file in files)
         self.other = other
-
-    def reset(self, seed: int | None = None) -> None:
-        pass
-
-    def act(self, observation: dict[str, np.ndarray]) -> np.ndarray:
-        return observation["robot_joint_position"]
 
 
 @pytest.mark.parametrize("folder", [False, True])

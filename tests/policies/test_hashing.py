@@ -15,30 +15,23 @@ from handover_marl.datasets import open_dataset
 from handover_marl.errors import ResultsError
 from handover_marl.policies import hashing
 from handover_marl.policies.hashing import hash_object, hash_policy
-from handover_marl.policies.policy import Action
 from handover_marl.policies.reference import parse_policy
-from handover_marl.receivers import Receiver
 from handover_marl.receivers.baselines import HoldReceiver
 from tests.evaluation.quick import SHORT
 
 WEIGHTS = np.arange(3.0)
 
 
-class Weighted(Receiver):
+class Weighted(HoldReceiver):
     """Receiver that holds an array of a file, or any state."""
 
     name = "weighted"
     file_options = ("weights",)
 
-    def __init__(self, weights: str = "", state: Any = None) -> None:
+    def __init__(self, context: Any = None, weights: str = "", state: Any = None) -> None:
+        super().__init__(context)
         self._target = np.load(weights) if weights else None
         self._state = state
-
-    def reset(self, seed: int | None = None) -> None:
-        pass
-
-    def act(self, observation: dict[str, Any]) -> Action:
-        return np.zeros(9, dtype=np.float32)
 
 
 def use_weights(value: float) -> float:

@@ -15,7 +15,7 @@ from handover_marl.givers import Giver, PolicyContext, make_policy_context
 from handover_marl.givers.variations import ReplayGiver
 from handover_marl.policies.policy import override_options
 from handover_marl.policies.reference import PolicyLike, parse_policy
-from handover_marl.receivers import Receiver
+from handover_marl.receivers.baselines import HoldReceiver
 from handover_marl.receivers.reactive.config import ReactiveConfig
 
 DATA = SyntheticDataset()
@@ -45,14 +45,8 @@ class Alone(Plain):
         self.height = height
 
 
-class Hasty(Receiver):
+class Hasty(HoldReceiver):
     name = "hasty"
-
-    def reset(self, seed: int | None = None) -> None:
-        pass
-
-    def act(self, observation: dict[str, np.ndarray]) -> np.ndarray:
-        return observation["robot_joint_position"]
 
     @property
     def wait(self) -> Any:

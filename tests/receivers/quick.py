@@ -1,15 +1,10 @@
-"""Short validations of grasps, short planning and observations of a handover for tests of receivers."""
+"""Short validations of grasps and short planning for tests of receivers."""
 
 from collections.abc import Iterator
 
-import numpy as np
 import pytest
 
-from handover_marl.datasets.dataset import Scene
-from handover_marl.episode.episode import Episode
-from handover_marl.episode.observations import Observation
 from handover_marl.planning import goal_set, planner
-from handover_marl.receivers import WAITING_JOINTS
 from handover_marl.receivers.reactive.grasps import GraspPreparationConfig
 from handover_marl.simulation.grasp_validation import GraspValidationConfig
 
@@ -25,16 +20,6 @@ QUICK_PREPARATION = GraspPreparationConfig(
     free_time=0.002,
     validation=GraspValidationConfig(close_time=0.15, shake_time=0.002),
 )
-
-
-def observe_handover(scene: Scene, milliseconds: int) -> Observation:
-    """Return the observation of a scene after some milliseconds in fast physics, with the robot at rest."""
-    episode = Episode("fast")
-    episode.reset(scene)
-    episode.advance(np.array(WAITING_JOINTS, dtype=np.float32), milliseconds)
-    observation = episode.observe()
-    episode.close()
-    return observation
 
 
 @pytest.fixture(scope="module", autouse=True)

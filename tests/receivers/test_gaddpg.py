@@ -1,12 +1,9 @@
 """Tests of GA-DDPG's protocol on synthetic observations; `tests/integration` compares it with recordings."""
 
-import json
-
 import numpy as np
 import numpy.typing as npt
 import pytest
 
-from handover_marl.assets.shipped import GADDPG_WEIGHTS
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.loop import call_policy, start_policy
 from handover_marl.episode.observations import Observation
@@ -90,15 +87,6 @@ def test_closes_on_a_caged_object_and_carries_it_to_the_goal() -> None:
     assert receiver.hold_time == float("inf")
     assert len({tuple(action) for action in actions}) == count
     np.testing.assert_array_equal(receiver.act(observe(12_000)), actions[-1])
-
-
-def test_shipped_weights_describe_their_training() -> None:
-    about = json.loads(str(np.load(GADDPG_WEIGHTS)["about"]))
-    made_by = about["made_by"]["made by"]
-    assert "setups=('s0', 's1', 's2', 's3')" in made_by, "trained without test scenes of any setup"
-    assert "dataset='dexycb'" in made_by
-    assert "/" not in made_by.removeprefix("experiments/train_gaddpg.py"), "no paths"
-    assert about["settings"]["max_steps"] == 30
 
 
 def test_invalid_network_output() -> None:

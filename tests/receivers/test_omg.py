@@ -12,7 +12,8 @@ from handover_marl.geometry.poses import transform_points
 from handover_marl.policies.policy import make_policy_context
 from handover_marl.receivers import WAITING_JOINTS
 from handover_marl.receivers.omg import OmgReceiver
-from tests.receivers.quick import observe_handover, short_planning  # noqa: F401
+from tests.helpers.playing import observe_handover
+from tests.receivers.quick import short_planning  # noqa: F401
 
 SCENE = 5
 DATA = SyntheticDataset()

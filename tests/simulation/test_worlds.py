@@ -16,7 +16,7 @@ from handover_marl.datasets import OfficialDataset, open_dataset
 from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.episodes import Episodes
-from handover_marl.episode.loop import EpisodeCallback, run_episode
+from handover_marl.episode.loop import run_episode
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError, UnknownNameError
 from handover_marl.geometry.arrays import to_numpy
@@ -32,6 +32,7 @@ from handover_marl.simulation.engines import (
     list_available_physics,
     make_world,
 )
+from tests.helpers.playing import StepRecorder
 
 START = np.array(PandaConfig().start_joints, dtype=np.float32)
 #: Joint positions with which the robot is in the hand's way in scene 209.
@@ -70,15 +71,9 @@ def load_late_scene(scene_id: int, first: int) -> Scene:
     return replace(scene, **motion, hand_first=hand_first, hand_last=scene.hand_last - first)
 
 
-class Motion(EpisodeCallback):
-    """Callback that records the joint positions of robot and objects after every step."""
-
-    def on_reset(self, episode: Episode) -> None:
-        self.rows: list[npt.NDArray[np.float32]] = []
-
-    def on_step(self, episode: Episode) -> None:
-        world = episode.world
-        self.rows.append(np.concatenate([world.read_agent_joints().robot, world.read_object_joints().ravel()]))
+def read_joints(episode: Episode) -> npt.NDArray[np.float32]:
+    """Return the joint positions of robot and objects."""
+    return np.concatenate([episode.world.read_agent_joints().robot, episode.world.read_object_joints().ravel()])
 
 
 @pytest.mark.slow
@@ -89,11 +84,12 @@ def test_a_used_world_equals_a_new_one(physics: str, episodes: list[Episode]) ->
     """
 
     def play(episode: Episode, receiver: str, giver: str, scene: Scene, until: int | None) -> tuple[Any, ...]:
-        motion = Motion()
+        motion = StepRecorder(read_joints)
         episode.reset(scene)
         players = receivers.make(receiver, DATA), givers.make(giver, DATA)
         run_episode(episode, *players, seed=0, until=until, callbacks=[motion])
-        return (episode.status, episode.steps, episode.release_step), np.array(motion.rows), episode.observe()
+        end = episode.status, episode.steps, episode.release_step
+        return end, np.array(motion.rows), episode.observe()
 
     episodes += [Episode(physics), Episode(physics)]
     used, new = episodes

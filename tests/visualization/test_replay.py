@@ -15,7 +15,7 @@ from handover_marl.cli import main
 from handover_marl.config import TIME_STEP, ProtocolConfig, WorldConfig
 from handover_marl.datasets import open_dataset
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import EpisodeCallback, run_episode
+from handover_marl.episode.loop import run_episode
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.geometry.kinematic_tree import compute_link_trajectory
 from handover_marl.geometry.panda import HAND_LINK
@@ -29,6 +29,7 @@ from handover_marl.visualization.replay_scene import (
     compute_robot_link_poses,
 )
 from tests.evaluation.quick import QuickReceiver
+from tests.helpers.playing import StepRecorder
 from tests.helpers.short_episodes import shorten_episodes
 from tests.visualization.outside import outside
 
@@ -53,28 +54,18 @@ class Meaning(QuickReceiver):
         return self.meant
 
 
-class Seeing(EpisodeCallback):
-    """Callback that records the simulated pose of the gripper at every frame of the replay."""
-
-    def on_reset(self, episode: Episode) -> None:
-        self.gripper = [episode.observe()["gripper_pose"]]
-
-    def on_step(self, episode: Episode) -> None:
-        if episode.steps % FRAME_STEPS == 0:
-            self.gripper.append(episode.observe()["gripper_pose"])
-
-
 @pytest.fixture(scope="module")
 def recorded(fake_data: Path) -> tuple[ReplayRecorder, np.ndarray]:
     """Return the log of an episode, and the simulated poses of the gripper at its frames but the last."""
-    data, seeing = open_dataset("dexycb", fake_data), Seeing()
+    data = open_dataset("dexycb", fake_data)
+    seeing = StepRecorder(lambda episode: episode.observe()["gripper_pose"], FRAME_STEPS)
     episode, robot = Episode("fast", SHORT), make(Meaning, data)
     recorder = ReplayRecorder(robot)
     episode.reset(data.load_scene(14))
     run_episode(episode, robot, seed=0, callbacks=[recorder, seeing])
     assert (recorder.status, recorder.frames[-1].step) == (episode.status, episode.steps)
     episode.close()
-    return recorder, np.array(seeing.gripper)
+    return recorder, np.array(seeing.rows)
 
 
 @pytest.fixture

@@ -206,8 +206,3 @@ def write_mano(folder: Path) -> Path:
     for seed, side in enumerate(("RIGHT", "LEFT")):
         (folder / f"MANO_{side}.pkl").write_bytes(official(made_up_hand(seed)))
     return folder
-
-
-def all_files(folder: Path) -> dict[str, bytes]:
-    """Return the content of all files below a folder, also of hidden ones, by relative path."""
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}

@@ -24,8 +24,8 @@ from handover_marl.episode.episode import Episode
 from handover_marl.errors import DataFormatError
 from handover_marl.geometry.model_files.urdf import list_mesh_references
 from handover_marl.geometry.ycb import CLASS_NAMES
-from tests.datasets.dexycb.raw_files import all_files
 from tests.execution.test_archives import tar
+from tests.helpers.equality import read_files
 from tests.helpers.fake_layout import FakeScene, write_layout
 
 
@@ -81,7 +81,7 @@ def test_files_are_installed(tmp_path: Path) -> None:
     (note,) = install_third_party(tar(tmp_path / "a.tar.gz", "w:gz", content=entries), tmp_path / "assets")
     assert f"1 of the {len(FILES)} " in note
     assert "grasps/003_cracker_box.npy" in note, "the one whose sum is known"
-    assert all_files(tmp_path / "assets") == FILES
+    assert read_files(tmp_path / "assets") == FILES
 
 
 @pytest.mark.slow

@@ -21,13 +21,13 @@ from handover_marl.errors import DataNotFoundError, OptionError, ResultsError, S
 from handover_marl.geometry.ycb import SUBJECTS
 from tests.datasets.dexycb.raw_files import (
     RawScene,
-    all_files,
     hand_poses,
     mano_file,
     object_poses,
     write_mano,
     write_yaml,
 )
+from tests.helpers.equality import read_files
 
 N_SCENES = 6
 N_KEYS = 24  # number for which an import takes long enough to be killed half-way
@@ -66,14 +66,14 @@ def test_damaged_recordings_are_reported_and_the_others_imported(given: Path, tm
     assert len(found.faults) == 3 + len(SUBJECTS)
     assert set(found.missing_files) == set(list_required_files())
     assert "assets-3rd-party" in str(found)
-    files, expected = all_files(out), all_files(given / "expected")
+    files, expected = read_files(out), read_files(given / "expected")
     assert files.items() <= expected.items()
     assert {"assets/table/table.urdf", "assets/003_cracker_box/model_normalized.urdf"} <= set(files)
     info = OfficialDataset(out).load_info(2)
     assert (info.name, info.side, info.object_ids) == (f"{SUBJECTS[0]}/{NAMES[2]}", "right", (5, 2))
     # An import of the undamaged data completes the folder.
     imported(given, given / "raw", out)
-    assert all_files(out) == expected
+    assert read_files(out) == expected
 
 
 def alter(path: Path) -> None:
@@ -96,7 +96,7 @@ def test_existing_files_are_checked_and_kept(given: Path, tmp_path: Path) -> Non
     shutil.copytree(given / "expected", out)
     for name, spoil in SPOILS.items():
         spoil(out / CACHE_FOLDER / name)
-    before = all_files(out)
+    before = read_files(out)
     found = imported(given, given / "raw", out)
     assert found.scenes == tuple(range(len(SPOILS), N_SCENES))
     for name in SPOILS:
@@ -107,7 +107,7 @@ def test_existing_files_are_checked_and_kept(given: Path, tmp_path: Path) -> Non
         write_yaml(mano_file(raw, name), {"betas": [0.3] * 10})
     with pytest.raises(ResultsError, match="exists with other content"):
         imported(given, raw, out)
-    assert all_files(out) == before
+    assert read_files(out) == before
 
 
 @pytest.mark.slow
@@ -120,10 +120,10 @@ def test_killed_import_is_continued(given: Path, tmp_path: Path) -> None:
         while not list((out / CACHE_FOLDER).glob("meta_*")) and time.monotonic() < end:
             time.sleep(0.01)
         process.kill()
-    found, expected = all_files(out), all_files(given / "expected")
+    found, expected = read_files(out), read_files(given / "expected")
     assert {name: data for name, data in found.items() if not name.endswith(".part")}.items() <= expected.items()
     imported(given, given / "raw", out)
-    assert all_files(out) == expected
+    assert read_files(out) == expected
 
 
 def test_invalid_arguments(given: Path, tmp_path: Path) -> None:

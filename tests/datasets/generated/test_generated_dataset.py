@@ -1,7 +1,5 @@
 """Tests of generated scenes: equality to the bit, splits, families, model files, configuration and resampling."""
 
-import hashlib
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +7,6 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from handover_marl.datasets import open_dataset
-from handover_marl.datasets.dataset import Scene
 from handover_marl.datasets.generated.config import (
     FAMILY_DEFAULTS,
     GeneratedConfig,
@@ -24,7 +21,9 @@ from handover_marl.datasets.generated.post_arrival_motion import (
 )
 from handover_marl.errors import HandoverError, SceneError, UnknownNameError
 from handover_marl.geometry.model_files.meshes import check_model, read_collision_mesh
+from tests.helpers.equality import hash_scene
 
+pytestmark = pytest.mark.usefixtures("own_cache")
 DEFAULT, HARD = "generated:n=100000,seed=7", "generated:n=1000,seed=7,family=hard"
 #: First digits of the scenes' hashes: they change with the generator's version and with nothing else.
 HASHES = {
@@ -36,24 +35,11 @@ HASHES = {
 }
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "generated"))
-        yield
-
-
-def digest(scene: Scene) -> str:
-    info = repr(scene.info).replace(", side=", f", subject={scene.info.subject!r}, side=")
-    content = scene.object_dof.tobytes() + scene.hand_dof.tobytes() + info.encode()
-    return hashlib.sha256(content).hexdigest()[:16]
-
-
 @pytest.mark.parametrize(("name", "scene_id"), HASHES)
 def test_scenes_equal_their_checksums_and_are_complete(name: str, scene_id: int) -> None:
     dataset = open_dataset(name)
     scene = dataset.load_scene(scene_id)
-    assert digest(scene) == HASHES[name, scene_id]
+    assert hash_scene(scene) == HASHES[name, scene_id]
     info = scene.info
     assert info.side == dataset.find_side(scene_id)
     assert info.object_names == tuple(dataset.object_names[number] for number in info.object_ids)
@@ -67,13 +53,13 @@ def test_scenes_equal_their_checksums_and_are_complete(name: str, scene_id: int)
 
 def test_scenes_depend_on_seed_and_number_alone() -> None:
     dataset = open_dataset(DEFAULT)
-    first = digest(dataset.load_scene(17))
+    first = hash_scene(dataset.load_scene(17))
     for other in range(40, 45):
         dataset.load_info(other)
-    assert digest(dataset.load_scene(17)) == first
-    assert digest(open_dataset("generated:n=18,seed=7").load_scene(17)) == first
-    assert digest(open_dataset("generated:n=18,seed=8").load_scene(17)) != first
-    assert digest(open_dataset("generated:n=18,seed=7,left=0.4").load_scene(17)) == first
+    assert hash_scene(dataset.load_scene(17)) == first
+    assert hash_scene(open_dataset("generated:n=18,seed=7").load_scene(17)) == first
+    assert hash_scene(open_dataset("generated:n=18,seed=8").load_scene(17)) != first
+    assert hash_scene(open_dataset("generated:n=18,seed=7,left=0.4").load_scene(17)) == first
 
 
 def test_objects_differ_between_splits() -> None:

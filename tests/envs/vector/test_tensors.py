@@ -3,7 +3,7 @@
 Physics is the same on both sides, so that all results agree to the accuracy of the arrays' functions.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,12 +13,14 @@ pytest.importorskip("mujoco", reason="needs MuJoCo")
 pytest.importorskip("torch", reason="needs the extra `train`")
 
 import torch
+from gymnasium import spaces
 
 import handover_marl
 from handover_marl.config import PhysicsConfig, ProtocolConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.envs.custom_rewards import combine_rewards
 from handover_marl.envs.transition import Transition
+from handover_marl.envs.vector.batch import check_action_array
 from handover_marl.envs.wrappers.wrapper import EpisodeReturns
 from handover_marl.episode import episodes
 from handover_marl.errors import ActionError
@@ -28,7 +30,6 @@ from handover_marl.simulation.engines import BatchBackend, make_worlds
 from handover_marl.simulation.reference_tracking import ReferenceMotion
 from handover_marl.simulation.world import Contacts, JudgeFunction, RolloutContacts, RolloutEnd, WorldState
 from handover_marl.simulation.worlds import Worlds
-from tests.envs.vector.comparison import assert_same
 from tests.helpers.fake_device import DEVICE, DeviceTensor, FakeDevice
 from tests.learning.custom import move_first_joint, offset_to_object
 
@@ -84,6 +85,35 @@ def _read(tensor: Any, dtype: str | None = None) -> Any:
     values = to_numpy(tensor)
     assert dtype is None or values.dtype == np.dtype(dtype)
     return values
+
+
+def assert_same(found: Any, expected: Any, is_on_device: bool = True) -> None:
+    """Compare a result on a device with a result as NumPy arrays.
+
+    Args:
+        found: Tensors on the device, in dictionaries, tuples and arrays of objects.
+        expected: NumPy arrays in the same containers.
+        is_on_device: Whether arrays must be on the device; the mask of an array of objects must not.
+    """
+    if isinstance(expected, dict):
+        assert found.keys() == expected.keys()
+        for key, value in expected.items():
+            assert_same(found[key], value, is_on_device and key != "_final_obs")
+    elif isinstance(expected, (tuple, list)):
+        assert len(found) == len(expected)
+        for one, other in zip(found, expected, strict=True):
+            assert_same(one, other, is_on_device)
+    elif isinstance(expected, np.ndarray) and expected.dtype == object:
+        assert type(found) is np.ndarray
+        assert_same(list(found), list(expected), is_on_device)
+    elif isinstance(expected, (np.ndarray, np.generic)):
+        assert isinstance(found, DeviceTensor if is_on_device else np.ndarray)
+        values = to_numpy(found)
+        assert (values.dtype, values.shape) == (expected.dtype, expected.shape)
+        np.testing.assert_allclose(values, expected, rtol=1e-5, atol=1e-5)
+    else:
+        assert type(found) is type(expected)
+        assert found == expected or found == pytest.approx(expected, rel=1e-5, abs=1e-5)
 
 
 @pytest.fixture
@@ -194,3 +224,35 @@ def test_wrong_numbers_change_nothing(on_device: ArrayFactory) -> None:
     observations, *_ = envs.step(actions)
     np.testing.assert_allclose(observations["time"].tolist(), [[0.1], [0.1]], atol=1e-6)
     envs.close()
+
+
+ACTIONS = spaces.Box(-np.ones(2, np.float32), np.ones(2, np.float32))
+
+
+@pytest.mark.usefixtures("on_device")
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: torch.zeros(COUNT, 3), r"must have shape \(4, 2\), got torch.float32 \(4, 3\)"),
+        (lambda: torch.zeros(COUNT * 2), r"must have shape \(4, 2\), got torch.float32 \(8,\)"),
+        (lambda: torch.zeros(COUNT, 2, dtype=torch.bool), r"must have shape \(4, 2\), got torch.bool \(4, 2\)"),
+        (lambda: torch.zeros(COUNT, 2, dtype=torch.complex64), "got torch.complex64"),
+        (lambda: torch.zeros(COUNT, 2, requires_grad=True), "grad"),
+    ],
+)
+@pytest.mark.parametrize("arrays", [NUMPY_ARRAYS, make_tensor_factory("cuda")], ids=["array", "tensor"])
+def test_wrong_tensors_are_refused(make: Callable[[], Any], message: str, arrays: ArrayFactory) -> None:
+    error = message.replace("torch.", "") if arrays is NUMPY_ARRAYS else message
+    with pytest.raises(ActionError, match=error):
+        check_action_array(make(), ACTIONS, COUNT, "receiver", arrays)
+
+
+@pytest.mark.usefixtures("on_device")
+def test_tensors_on_a_device_are_refused_without_a_simulation_there() -> None:
+    with pytest.raises(ActionError, match="must be an array"):
+        check_action_array(torch.zeros(COUNT, 2, device="cuda"), ACTIONS, COUNT, "receiver")
+    actions = torch.zeros(COUNT, 2)
+    values = check_action_array(actions, ACTIONS, COUNT, "receiver")
+    assert type(values) is np.ndarray
+    values[0, 0] = 1.0
+    assert actions[0, 0] == 1.0, "memory is shared"

@@ -1,4 +1,4 @@
-"""Tests of vector environments in MuJoCo Warp, on Warp's CPU device, against those in MuJoCo."""
+"""Tests of vector environments in MuJoCo Warp and their cameras, on Warp's CPU device, against those in MuJoCo."""
 
 from typing import Any
 
@@ -6,11 +6,16 @@ import numpy as np
 import pytest
 
 pytest.importorskip("mujoco_warp", reason="needs the extra `warp`")
+pytest.importorskip("embreex", reason="needs the extra `vision`")
 
 import torch
 
 import handover_marl
+from handover_marl.envs.custom_rewards import combine_rewards
+from handover_marl.episode import warp_wrist_camera
+from handover_marl.errors import OptionError
 from handover_marl.geometry.arrays import to_numpy
+from handover_marl.learning.custom_encodings import declare_size
 from tests.helpers.fake_device import DEVICE, DeviceTensor
 
 # As many environments as there are worlds in the tests of MuJoCo Warp, so that they share kernels.
@@ -72,15 +77,16 @@ def test_environments_can_be_stepped_in_the_inference_mode_of_a_collector() -> N
 @pytest.mark.slow
 @pytest.mark.usefixtures("emulated_gpu")
 @pytest.mark.parametrize(
-    ("agent", "partner", "encoding"),
+    ("agent", "partner", "options"),
     [
         ("receiver", "cooperative", {"features": "close_stack", "schemes": "cartesian_delta"}),
         ("receiver", "noisy", {}),
+        ("receiver", "replay", {"obs_mode": "state+scene_pointcloud"}),
         ("giver", "yang2021", {"features": "giver", "schemes": "deviation"}),
     ],
 )
-def test_nothing_leaves_the_device_by_chance(agent: str, partner: str, encoding: dict[str, Any]) -> None:
-    envs = handover_marl.vector_env(COUNT, agent, partner, backend="warp", device="cuda", **OPTIONS, **encoding)
+def test_nothing_leaves_the_device_by_chance(agent: str, partner: str, options: dict[str, Any]) -> None:
+    envs = handover_marl.vector_env(COUNT, agent, partner, backend="warp", device="cuda", **OPTIONS, **options)
     envs.reset(seed=0)
     for _ in range(4):
         actions = torch.zeros(envs.action_space.shape, device=DEVICE)
@@ -90,3 +96,105 @@ def test_nothing_leaves_the_device_by_chance(agent: str, partner: str, encoding:
         assert isinstance(tensor, DeviceTensor)
     assert to_numpy(infos["steps"]).tolist() == [10] * COUNT
     envs.close()
+
+
+#: Vector environments whose receivers are controlled from outside.
+RECEIVERS: dict[str, Any] = {**OPTIONS, "agent": "receiver", "partner": "replay"}
+WARP: dict[str, Any] = {"backend": "warp"}
+SEED = 5
+
+
+def read_rows(observations: Any) -> list[dict[str, np.ndarray]]:
+    """Return the observations of all environments as NumPy arrays."""
+    return [{key: to_numpy(values[row]) for key, values in observations.items()} for row in range(COUNT)]
+
+
+def assert_same_points(found: dict[str, np.ndarray], expected: dict[str, np.ndarray]) -> None:
+    """Assert that clouds that are not subsampled have the same points, but for few at edges."""
+    counts, others = found["wrist_point_counts"], expected["wrist_point_counts"]
+    assert np.abs(counts - others).max() <= 2
+    for number, key in enumerate(("wrist_object_points", "wrist_hand_points", "wrist_other_points")[: len(counts)]):
+        own, other = (
+            cloud[: int(count)] for cloud, count in ((found[key], counts[number]), (expected[key], others[number]))
+        )
+        if 0 < counts[number] <= 1024:
+            distances = np.linalg.norm(own[:, None] - other, axis=-1).min(axis=1)
+            assert (distances < 1e-4).mean() > 0.98
+        assert not found[key][len(own) :].any()
+
+
+@pytest.mark.slow
+def test_clouds_equal_those_of_single_environments() -> None:
+    options: dict[str, Any] = {"obs_mode": "state+scene_pointcloud", "camera_model": "pinhole"}
+    envs = handover_marl.vector_env(COUNT, **WARP, **RECEIVERS, **options)
+    observations, _ = envs.reset(seed=SEED)
+    found = read_rows(observations)
+    assert any(0 < one["wrist_point_counts"][1] <= 1024 for one in found)
+    for row, own in enumerate(found):
+        assert envs.single_observation_space.contains(own)
+        single = handover_marl.parallel_env(
+            dataset=OPTIONS["dataset"], physics="mujoco", **options, rewards=OPTIONS["rewards"]
+        )
+        expected, _ = single.reset(seed=SEED + row)
+        assert_same_points(own, expected["receiver"])
+        single.close()
+    envs.close()
+
+
+@pytest.mark.slow
+def test_spaces_contain_observations() -> None:
+    envs = handover_marl.vector_env(COUNT, obs_mode="state+rgbd+pointcloud", **WARP, **RECEIVERS)
+    observations, _ = envs.reset(seed=SEED)
+    for row in read_rows(observations):
+        assert envs.single_observation_space.contains(row)
+    assert set(observations) == set(envs.single_observation_space)
+    assert len(torch.unique(observations["wrist_segmentation"])) > 3
+    envs.close()
+
+
+@pytest.mark.slow
+def test_episodes_and_their_clouds_repeat(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Clouds depend on the seed of an environment, neither on the others nor on the size of chunks."""
+    monkeypatch.setattr(warp_wrist_camera, "N_POINTS", 32)
+    monkeypatch.setitem(warp_wrist_camera.camera_observation_space.__globals__, "N_POINTS", 32)
+    found = []
+    for chunk in (64, 2):
+        monkeypatch.setattr(warp_wrist_camera, "_CHUNK", chunk)
+        envs = handover_marl.vector_env(COUNT, obs_mode="pointcloud", **WARP, **RECEIVERS)
+        observations, _ = envs.reset(seed=[SEED, SEED, SEED + 1])
+        found.append(read_rows(observations))
+        envs.close()
+    for first, second in zip(*found, strict=True):
+        np.testing.assert_equal(first, second)
+    np.testing.assert_equal(found[0][0], found[0][1])
+    assert (found[0][0]["wrist_point_counts"][0]) > 32
+
+
+@declare_size(2)
+def count_points(observation: dict[str, Any]) -> np.ndarray:
+    assert "object_poses" not in observation
+    return np.array(observation["wrist_point_counts"][:2], dtype=np.float32)
+
+
+@declare_size(1)
+def move(outputs: np.ndarray, observation: dict[str, Any]) -> np.ndarray:
+    return np.asarray(observation["robot_joint_position"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"obs_mode": "full_pointcloud"}, "an obs_mode without full_pointcloud, got"),
+        ({"camera_noise": "realsense"}, "camera_noise=None, got 'realsense'"),
+        ({"renderer": "bullet"}, "the renderer 'rays', got 'bullet'"),
+        ({"rewards": combine_rewards("sparse")}, "weights of the library's terms"),
+        ({"schemes": move, "features": count_points}, "a built-in action scheme"),
+        ({"agent": "giver", "partner": "vision", "obs_mode": "state"}, "a partner without a camera, got 'vision'"),
+    ],
+    ids=["full", "noise", "renderer", "rewards", "scheme", "partner"],
+)
+def test_what_the_device_cannot_observe_is_refused(options: dict[str, Any], message: str) -> None:
+    chosen = {**RECEIVERS, "obs_mode": "pointcloud", **options}
+    with pytest.raises(OptionError, match=f"{message}.*"):
+        handover_marl.vector_env(2, **WARP, **chosen)

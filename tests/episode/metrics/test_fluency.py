@@ -10,9 +10,8 @@ import pytest
 from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import EpisodeCallback
 from handover_marl.episode.metrics import motion
-from handover_marl.episode.metrics.fluency import FluencyMetrics, compute_fluency
+from handover_marl.episode.metrics.fluency import compute_fluency
 from handover_marl.episode.metrics.motion import (
     SAMPLE_STEPS,
     EpisodeTrace,
@@ -22,15 +21,13 @@ from handover_marl.episode.metrics.motion import (
     compute_spectral_arc_length,
 )
 from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.evaluation.reports.episode_tables import estimate_fluency
-from handover_marl.evaluation.reports.tables import FLUENCY
 from handover_marl.geometry.kinematic_tree import compute_link_trajectory
 from handover_marl.geometry.panda import ROBOTS
 from handover_marl.receivers import make
 from handover_marl.simulation.bullet.kinematics import BulletDistanceQuery
 from handover_marl.simulation.distance_queries import ClearanceMonitor, DistanceQuery
 from handover_marl.simulation.world import AgentJoints, Contacts
-from tests.helpers.playing import play
+from tests.helpers.playing import StepRecorder, play
 
 PERIOD = SAMPLE_STEPS * TIME_STEP
 N = 251  # samples in 5 s, including the one at the start
@@ -375,35 +372,23 @@ def test_the_impulse_on_the_object_ends_with_the_release() -> None:
     assert (recorder._max_object_force, recorder._hand_forces) == (0.7, [1.4])
 
 
-class Sketch(EpisodeCallback):
-    """Callback that records the observation every 20 steps, including the start."""
-
-    def on_reset(self, episode: Episode) -> None:
-        self.seen: list[dict[str, np.ndarray]] = []
-        self.on_step(episode)
-
-    def on_step(self, episode: Episode) -> None:
-        if episode.steps % 20 == 0:
-            self.seen.append(episode.observe())
-
-
 @pytest.mark.slow
 def test_recording_changes_nothing_and_notes_what_can_be_seen() -> None:
     dataset = SyntheticDataset()
     episode, policy, scene = Episode("fast"), make("yang2021", dataset), dataset.load_scene(209)
-    recorder, sketch = TraceRecorder(), Sketch()
+    recorder, sketch = TraceRecorder(), StepRecorder(Episode.observe, SAMPLE_STEPS)
     plain, _ = play(episode, scene, policy)
     recorded, _ = play(episode, scene, policy, None, recorder, sketch)
     np.testing.assert_array_equal(plain, recorded)
     trace = recorder.trace
     assert (trace.steps, trace.release_step) == (episode.steps, episode.release_step)
-    assert len(trace.gripper) == len(trace.wrist) == len(trace.fingers) == episode.steps // 20 + 1 == len(sketch.seen)
-    there = np.array([bool(seen["hand_present"][0]) for seen in sketch.seen])
+    assert len(trace.gripper) == len(trace.wrist) == len(trace.fingers) == episode.steps // 20 + 1 == len(sketch.rows)
+    there = np.array([bool(seen["hand_present"][0]) for seen in sketch.rows])
     np.testing.assert_array_equal(np.isnan(trace.wrist).all(axis=1), ~there)
     for key, found, expected in (
-        ("gripper", trace.gripper, [seen["gripper_pose"][:3] for seen in sketch.seen]),
-        ("fingers", trace.fingers, [seen["robot_joint_position"][7:] for seen in sketch.seen]),
-        ("wrist", trace.wrist[there], [seen["hand_keypoints"][0] for seen in sketch.seen if seen["hand_present"][0]]),
+        ("gripper", trace.gripper, [seen["gripper_pose"][:3] for seen in sketch.rows]),
+        ("fingers", trace.fingers, [seen["robot_joint_position"][7:] for seen in sketch.rows]),
+        ("wrist", trace.wrist[there], [seen["hand_keypoints"][0] for seen in sketch.rows if seen["hand_present"][0]]),
     ):
         np.testing.assert_allclose(found, np.array(expected), atol=1e-5, err_msg=key)
     played: Any = compute_fluency(trace)
@@ -417,8 +402,3 @@ def test_recording_changes_nothing_and_notes_what_can_be_seen() -> None:
     assert played.min_separation_margin <= played.min_distance
     recorder.close()
     episode.close()
-
-
-def test_every_metric_has_a_column() -> None:
-    assert [column.key for column in FLUENCY] == [part.name for part in dataclasses.fields(FluencyMetrics)]
-    assert estimate_fluency([]) == {}

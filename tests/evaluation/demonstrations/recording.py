@@ -39,8 +39,3 @@ def record(out: Path | None, **options: Any) -> Demonstrations:
     named: dict[str, Any] = {"receiver": MovingReceiver, "scenes": SCENES, "world_config": SHORT, "physics": "fast"}
     named |= {"dataset": "synthetic", "progress": False, "workers": 1}
     return handover_marl.demonstrate("s0", out=out, **{**named, **options})
-
-
-def contents(out: Path) -> dict[str, bytes]:
-    """Return the content of every file of the demonstrations, by its name."""
-    return {path.name: path.read_bytes() for path in sorted((out / "demonstrations").iterdir())}

@@ -23,30 +23,30 @@ from tests.evaluation.demonstrations.recording import (
     SCENES,
     SHORT,
     MovingReceiver,
-    contents,
     record,
 )
+from tests.helpers.equality import read_files
 from tests.helpers.short_episodes import shorten_episodes
 
 
 @pytest.mark.slow
 def test_data_do_not_depend_on_workers(out: Path, tmp_path: Path) -> None:
     record(tmp_path, workers=2, **OPTIONS)
-    assert contents(tmp_path) == contents(out)
-    assert sorted(contents(tmp_path)) == ["000.npz", "072.npz", "metadata.json"]
+    assert read_files(tmp_path / "demonstrations") == read_files(out / "demonstrations")
+    assert sorted(read_files(tmp_path / "demonstrations")) == ["000.npz", "072.npz", "metadata.json"]
 
 
 @pytest.mark.slow
 def test_damaged_and_missing_episodes_are_simulated_again(out: Path, tmp_path: Path, played: list[int]) -> None:
     copy = shutil.copytree(out, tmp_path / "copy")
-    path, whole = copy / "demonstrations" / "072.npz", contents(out)
+    path, whole = copy / "demonstrations" / "072.npz", read_files(out / "demonstrations")
     # The last file is an undamaged recording of another scene.
     for damage in (None, whole["072.npz"][:-100], whole["000.npz"]):
         path.unlink() if damage is None else path.write_bytes(damage)
         played.clear()
         record(copy, **OPTIONS)
         assert played == [105]
-        assert contents(copy) == whole
+        assert read_files(copy / "demonstrations") == whole
 
 
 @pytest.mark.slow
@@ -140,15 +140,15 @@ def test_only_successes_and_then_all(tmp_path: Path, played: list[int]) -> None:
     assert success.giver_actions.shape == (0, 8)
     check_replay(some, OFFICIAL_CONFIG)
     assert "Simulated: 2 (" in str(some)
-    before = contents(tmp_path / "out")
+    before = read_files(tmp_path / "out" / "demonstrations")
     record(tmp_path / "out", keep="success", **options)
     assert len(played) == 2, "what is not kept is not played again"
-    assert contents(tmp_path / "out") == before
+    assert read_files(tmp_path / "out" / "demonstrations") == before
     every = record(tmp_path / "out", **options)
     assert played == [5, 10, 10]
     assert sorted(metadata["outcome"] == "success" for metadata in every.read_metadata()) == [False, True]
     record(tmp_path / "out", keep="success", **options)
-    assert contents(tmp_path / "out") == before
+    assert read_files(tmp_path / "out" / "demonstrations") == before
 
 
 @pytest.mark.parametrize(

@@ -1,11 +1,15 @@
 import json
+from pathlib import Path
 
 import pytest
 
+from handover_marl.cli import main
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.evaluation.metadata import ResultMetadata
-from handover_marl.evaluation.reports.report import Report
+from handover_marl.evaluation.reports.report import Report, find_replay_links, render_report_page
 from handover_marl.evaluation.results import EpisodeResult
+from tests.evaluation.quick import write_results
+from tests.visualization.outside import dangling, outside, references
 
 SETTINGS = ResultMetadata("s0", "test", "mine", "replay", "exact", "dexycb", "0.1.0")
 
@@ -58,7 +62,8 @@ def test_no_success_prints_dashes_and_json_has_null() -> None:
     titles = ("success %", "exec s", "plan s", "total s")
     assert cells(str(found), "mine", *titles) == ["0.00 (0/3)", "-", "-", "-"]
     assert "nan" not in str(found).lower()
-    assert json.loads(json.dumps(found.to_json(), allow_nan=False))["times"]["exec_s"]["mean"] is None
+    content = json.loads(json.dumps(found.to_json(), allow_nan=False))
+    assert (content["times"]["exec_s"]["mean"], content["fluency"]) == (None, {})
 
 
 def test_the_text_states_what_was_evaluated() -> None:
@@ -90,3 +95,36 @@ def test_breakdown_by_object() -> None:
     table = Report(SETTINGS, (*mugs, episode(10, 1))).build_tables()[1]
     assert [*table.header] == ["object name", "n episodes", "success %", "n contact", "n drop", "n timeout"]
     assert [*table.rows[-1]] == ["025_mug", 10, "10.0 (1.8 to 40.4)", 2, 3, 4]
+
+
+def test_outcomes_with_intervals_and_replay_links() -> None:
+    made = render_report_page(report(1, 1, 2, 2 | 4, 8), {214: "episodes/214.html", 219: "episodes/219.html"})
+    assert outside(made) == dangling(made) == []
+    # Two of five episodes succeed; an episode with contact and drop is linked from both outcomes.
+    for word in ("11.8 to 76.9", "5 of 144 scenes (partial)", "2 of 5 episodes have a replay"):
+        assert word in made
+    links = references(made)
+    assert {"#success", "#contact", "#drop", "#timeout"} <= set(links)
+    assert links.count("episodes/214.html") == 1
+    assert links.count("episodes/219.html") == 2
+    assert "--replays failed" not in made
+
+
+def test_settings_are_shown_and_names_escaped() -> None:
+    settings = {"receiver": "<img src=https://example.org>", "obs_mode": "pointcloud", "camera": "a & b"}
+    made = render_report_page(report(1, 2, **settings))
+    assert outside(made) == []
+    words = ("&lt;img src=https://example.org&gt;", "0.1.0", "DexYCB, 1 object a scene", "published: Yang et al.")
+    for word in (*words, "--replays failed"):
+        assert word in made
+
+
+def test_replay_links_are_relative_to_the_page(tmp_path: Path) -> None:
+    results = write_results(tmp_path / "run")
+    (results / "episodes").mkdir()
+    for name in ("214.html", "001.html", "notes.html"):
+        (results / "episodes" / name).write_text("")
+    assert find_replay_links(results, results) == {1: "episodes/001.html", 214: "episodes/214.html"}
+    assert main(["evaluate", str(results), "--out", str(tmp_path / "report.html")]) == 0
+    assert "run/episodes/214.html" in references((tmp_path / "report.html").read_text())
+    assert main(["evaluate", str(results), "--out", str(tmp_path / "report.pdf")]) == 2

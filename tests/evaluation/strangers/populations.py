@@ -4,32 +4,17 @@ import json
 from pathlib import Path
 from typing import Any
 
+
+def describe(name: str, family: str, split: str, policy: str) -> dict[str, str]:
+    return {"name": name, "family": family, "split": split, "policy": policy, "description": f"Partner {name}."}
+
+
 GIVERS = [
-    {
-        "name": "recorded",
-        "family": "plain",
-        "split": "train",
-        "policy": "replay",
-        "description": "Replays the recording.",
-    },
-    {
-        "name": "fast",
-        "family": "timing",
-        "split": "test",
-        "policy": "hurried:min_rate=0.5,max_rate=0.6",
-        "description": "Replays the recording faster.",
-    },
-    {
-        "name": "slow",
-        "family": "timing",
-        "split": "test",
-        "policy": "hurried:min_rate=-0.6,max_rate=-0.5",
-        "description": "Replays the recording slower.",
-    },
+    describe("recorded", "plain", "train", "replay"),
+    describe("fast", "timing", "test", "hurried:min_rate=0.5,max_rate=0.6"),
+    describe("slow", "timing", "test", "hurried:min_rate=-0.6,max_rate=-0.5"),
 ]
-RECEIVERS = [
-    {"name": "still", "family": "still", "split": "test", "policy": "hold", "description": "Holds still."},
-]
+RECEIVERS = [describe("still", "still", "test", "hold")]
 
 
 def make_content(**changes: Any) -> dict[str, Any]:

@@ -110,16 +110,33 @@ def test_differences_are_paired_by_scene() -> None:
 
 
 def test_intervals_of_a_single_partner_are_those_of_student() -> None:
-    """Means have Student's interval; rates have Wilson's, with its quantile and the variance between scenes."""
     scores = np.array([[[0.2, 0.9, 0.4, 0.7, 0.1]]])
     found = estimate(compute_mean, scores, None)
     expected = scipy.stats.t.interval(0.95, 4, scores.mean(), scipy.stats.sem(scores.ravel()))
     assert found.interval_95 == pytest.approx((max(0.0, expected[0]), min(1.0, expected[1])), abs=1e-12)
-    flags = np.array([[[1.0, 1.0, 0.0, 1.0, 0.0, 1.0, 1.0, 1.0]]])
-    rate, weight = 0.75, scipy.stats.t.ppf(0.975, 7) ** 2 / 7
+
+
+def test_degrees_of_freedom_of_scenes_and_trainings_are_combined() -> None:
+    scores = 0.5 + np.array([-0.05, 0.05])[:, None, None] + np.linspace(-0.1, 0.1, 5)
+    variances, freedoms = np.array([0.00125, 0.0025]), np.array([4.0, 1.0])
+    freedom = variances.sum() ** 2 / (variances**2 / freedoms).sum()
+    half = scipy.stats.t.ppf(0.975, freedom) * np.sqrt(variances.sum())
+    assert estimate(compute_mean, scores, None).interval_95 == pytest.approx((0.5 - half, 0.5 + half))
+
+
+@pytest.mark.parametrize(
+    ("flags", "rate", "count"),
+    # Partners who make up for each other vary less than one partner, but their interval is as wide.
+    [([[1, 1, 0, 1, 0, 1, 1, 1]], 0.75, 7), ([[1, 1, 1, 1, 1, 1, 1, 1], [0, 0, 0, 0, 0, 0, 0, 1]], 0.5625, 8)],
+)
+def test_rates_have_wilson_intervals_with_the_quantile_of_student(
+    flags: list[list[int]], rate: float, count: int
+) -> None:
+    weight = scipy.stats.t.ppf(0.975, 7) ** 2 / count
     center, half = rate + weight / 2.0, np.sqrt(weight * rate * (1.0 - rate) + weight**2 / 4.0)
     wanted = (center - half) / (1.0 + weight), (center + half) / (1.0 + weight)
-    assert estimate_rate(compute_mean, flags, None).interval_95 == pytest.approx(wanted, abs=1e-12)
+    found = estimate_rate(compute_mean, np.array([flags], dtype=float), None)
+    assert found.interval_95 == pytest.approx(wanted, abs=1e-12)
 
 
 def test_differences_of_rates_are_at_least_minus_one() -> None:

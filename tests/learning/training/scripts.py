@@ -26,12 +26,17 @@ EXPERIMENTS = Path(__file__).parents[3] / "experiments"
 
 def script(name: str, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     (path,) = EXPERIMENTS.rglob(f"{name}.py")
+    return import_file(path, monkeypatch)
+
+
+def import_file(path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """Import a script, which may import others of its folder, as a module for one test."""
     monkeypatch.syspath_prepend(str(path.parent))
-    spec = importlib.util.spec_from_file_location(name, path)
+    spec = importlib.util.spec_from_file_location(path.stem, path)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    monkeypatch.setitem(sys.modules, name, module)
+    monkeypatch.setitem(sys.modules, path.stem, module)
     spec.loader.exec_module(module)
     return module
 

@@ -47,8 +47,6 @@ def test_train_giver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     train.main(train.Args(**args, decisions=2))
     assert files(tmp_path / "run") == MADE
     givers.make(f"learned:{tmp_path / 'run' / 'policy.npz'}")
-    with pytest.raises(ResultsError, match="holds a run; pass --resume"):
-        train.main(train.Args(**args, decisions=4))
     with pytest.raises(ResultsError, match=r"other arguments \(seed\)"):
         train.main(train.Args(**args, decisions=4, seed=5, resume=True))
     before = sb3.PPO.load(tmp_path / "run" / "checkpoint.zip", device="cpu").get_parameters()
@@ -126,7 +124,5 @@ def test_train_vision(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(list((out / "views").glob("generated-*/*.npz"))) == 1
     assert evaluated == ["latest.npz"]
     assert receivers.make(f"vision:weights={weights}", SyntheticDataset()).label.startswith("vision@")
-    with pytest.raises(ResultsError, match="--resume"):
-        train.main(train.Args(out=str(out), val_scenes=1, **few))
     train.main(train.Args(out=str(out), val_scenes=1, resume=True, **few))
     assert len(evaluated) == 1

@@ -16,8 +16,9 @@ from handover_marl.receivers.reactive.controller import ReactivePhase
 from handover_marl.receivers.reactive.grasp_contact import load_obstacle
 from handover_marl.receivers.reactive.receiver import ReactiveReceiver
 from handover_marl.receivers.reactive.scene_estimate import PoseSceneEstimate
-from tests.receivers.quick import observe_handover
+from tests.helpers.playing import observe_handover
 
+pytest.importorskip("mujoco", reason="MuJoCo validates grasps")
 DATA = SyntheticDataset()
 CONTEXT = make_policy_context(DATA)
 #: Scene of the observations, and scene of a whole episode: if the robot ignored the wood block there, its wrist would

@@ -12,10 +12,9 @@ from handover_marl.planning.robot_clearance import Spheres, compute_grasp_cleara
 from handover_marl.receivers.reactive.config import ReactiveConfig, RetreatConfig
 from handover_marl.receivers.reactive.retreat import DESIRED_CLEARANCE, RetreatController
 from handover_marl.receivers.reactive.selector import HOME
-from tests.planning.robots import ARM
+from tests.planning.robots import ARM, BASE
 
 GOAL = np.array(ProtocolConfig().goal_center)
-BASE = np.array([0.61, -0.5, 0.875, 0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)])
 LIMITS = np.array(LOWER_LIMITS[:7]) + 0.03, np.array(UPPER_LIMITS[:7]) - 0.03
 PERIOD = 0.05
 # The start is in front of the waiting pose and to its side.

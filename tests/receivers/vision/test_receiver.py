@@ -1,16 +1,12 @@
 """Tests of the receiver `vision` and its weights."""
 
-import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 
 from handover_marl import receivers
-from handover_marl.assets.shipped import GADDPG_WEIGHTS, find_vision_weights
 from handover_marl.datasets import open_dataset
-from handover_marl.datasets.splits import SETUPS
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import run_episode
 from handover_marl.episode.referee import EpisodeStatus
@@ -21,16 +17,6 @@ from handover_marl.policies.reference import parse_policy
 
 pytest.importorskip("embreex")
 DATA = open_dataset("synthetic")
-
-
-def test_shipped_weights_of_all_setups() -> None:
-    files = [find_vision_weights(setup) for setup in SETUPS]
-    assert sum(file.stat().st_size for file in (*files, GADDPG_WEIGHTS)) < 8_000_000
-    for setup, file in zip(SETUPS, files, strict=True):
-        made_by = json.loads(str(np.load(file)["about"]))["made_by"]
-        assert f"setup='{setup}'" in made_by["made by"], "learned from this setup's training split"
-        assert made_by["dataset"] == "dexycb"
-        assert "/" not in made_by["made by"].removeprefix("experiments/train_vision.py"), "no places"
 
 
 @pytest.mark.slow

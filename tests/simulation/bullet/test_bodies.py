@@ -1,7 +1,6 @@
 """Tests of PyBullet bodies: models of other things, and the collision masks of objects."""
 
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,33 +14,23 @@ from handover_marl.simulation.bullet.bodies import HAND_MASK, TABLE_MASK, HandBo
 from handover_marl.simulation.bullet.bodies import compute_object_masks as compute_masks
 from handover_marl.simulation.bullet.client import connect
 
-OBJECT = "003_cracker_box/model_normalized.urdf"
-Load = Callable[[Any, Path], object]
+URDFS = {"table": "table/table.urdf", "object": "003_cracker_box/model_normalized.urdf"}
 
 
 @pytest.mark.parametrize(
-    ("load", "urdf", "message"),
+    ("kind", "arguments", "other", "expected", "found"),
     [
-        (
-            lambda client, urdf: ObjectBody(client, urdf, 2, ObjectConfig(), [0.0] * 6),
-            "table/table.urdf",
-            "'table' loaded as ObjectBody must have 6 moving joints, got 0",
-        ),
-        (
-            lambda client, urdf: HandBody(client, urdf, [0.0] * 51, HandConfig()),
-            OBJECT,
-            "'object' loaded as HandBody must have 51 moving joints, got 6",
-        ),
-        (
-            lambda client, urdf: PandaBody(client, urdf, PandaConfig()),
-            OBJECT,
-            "'object' loaded as PandaBody must have 9 moving joints, got 6",
-        ),
+        (ObjectBody, (2, ObjectConfig(), [0.0] * 6), "table", 6, 0),
+        (HandBody, ([0.0] * 51, HandConfig()), "object", 51, 6),
+        (PandaBody, (PandaConfig(),), "object", 9, 6),
     ],
 )
-def test_models_that_are_something_else(fake_data: Path, load: Load, urdf: str, message: str) -> None:
+def test_models_that_are_something_else(
+    fake_data: Path, kind: type[Any], arguments: tuple[Any, ...], other: str, expected: int, found: int
+) -> None:
+    message = f"'{other}' loaded as {kind.__name__} must have {expected} moving joints, got {found}"
     with pytest.raises(SimulationError, match=message):
-        load(connect(), fake_data / "assets" / urdf)
+        kind(connect(), fake_data / "assets" / URDFS[other], *arguments)
 
 
 def test_a_panda_without_a_link(tmp_path: Path) -> None:

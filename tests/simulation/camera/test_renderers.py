@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from handover_marl.datasets import open_dataset
-from handover_marl.episode.camera_observations import WristCameraConfig
 from handover_marl.episode.episode import Episode
 from handover_marl.errors import DataFormatError, OptionError, UnknownNameError
 from handover_marl.simulation.camera.renderers import resolve_renderer
@@ -28,8 +27,6 @@ def test_auto_is_bullet_in_exact_physics_and_rays_in_others() -> None:
 def test_renderers_that_cannot_be_used_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(UnknownNameError, match="unknown renderer 'Rays'; valid: auto, bullet, rays"):
         resolve_renderer("Rays", "exact")
-    with pytest.raises(UnknownNameError, match="renderer"):
-        WristCameraConfig(renderer="opengl")
     find = importlib.util.find_spec
     monkeypatch.setattr(
         importlib.util, "find_spec", lambda name, *rest: None if name == "embreex" else find(name, *rest)

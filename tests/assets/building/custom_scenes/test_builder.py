@@ -2,7 +2,7 @@
 
 import json
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,18 +18,13 @@ from handover_marl.datasets.custom.dataset import CustomDataset
 from handover_marl.errors import DataFormatError, HandoverError, SceneError, UnknownNameError
 from handover_marl.evaluation.verification import verify
 from tests.helpers.custom_scenes import make_box, make_recording, write_csv
+from tests.helpers.equality import read_files
 from tests.helpers.short_episodes import shorten_episodes
 
 pytest.importorskip("mujoco", reason="MuJoCo validates the grasps of new objects")
 
+pytestmark = pytest.mark.usefixtures("own_cache")
 MUG = (0.3, 0.3, TABLE_HEIGHT + 0.05, 0.0, 0.0, 0.0, 1.0)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-        yield
 
 
 def mirror(recording: dict[str, Any]) -> dict[str, Any]:
@@ -56,10 +51,6 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> CustomSceneFolder:
     builder.add_motion(mirror(recording), "box", "ben", side="left", hand=3)
     builder.add_motion({key: recording[key] for key in ("time", "object")}, "box", "anna", hand=None)
     return builder
-
-
-def list_files(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
 @pytest.mark.slow
@@ -160,10 +151,10 @@ FAULTS: dict[str, tuple[Any, dict[str, Any], str]] = {
 @pytest.mark.parametrize("kind", FAULTS)
 def test_wrong_motions_change_nothing(kind: str, scenes: CustomSceneFolder) -> None:
     motion, options, message = FAULTS[kind]
-    before = list_files(scenes.folder)
+    before = read_files(scenes.folder)
     with pytest.raises(HandoverError, match=message):
         scenes.add_motion(motion, **{"object_name": "box", "subject": "anna", **options})
-    assert list_files(scenes.folder) == before
+    assert read_files(scenes.folder) == before
 
 
 def test_splits(scenes: CustomSceneFolder) -> None:
@@ -187,12 +178,12 @@ def test_splits(scenes: CustomSceneFolder) -> None:
 
 @pytest.mark.parametrize("name", ["box", "025_mug", "../x"])
 def test_objects_that_cannot_be_added(scenes: CustomSceneFolder, name: str) -> None:
-    before = list_files(scenes.folder)
+    before = read_files(scenes.folder)
     with pytest.raises(HandoverError, match="name must"):
         scenes.add_object(name, make_box(), grasps=0)
     with pytest.raises(HandoverError, match="grasps must be an integer"):
         scenes.add_object("other", make_box(), MeshConfig(concavity=1.0), grasps=-1)
-    assert list_files(scenes.folder) == before
+    assert read_files(scenes.folder) == before
 
 
 def test_grasps_do_not_depend_on_the_number_of_workers(tmp_path: Path) -> None:
@@ -200,7 +191,7 @@ def test_grasps_do_not_depend_on_the_number_of_workers(tmp_path: Path) -> None:
     for workers, folder in enumerate(folders, start=1):
         config = MeshConfig(concavity=1.0)
         CustomSceneFolder(folder).add_object("box", make_box(), config, grasps=3, workers=workers, progress=False)
-    assert list_files(folders[0]) == list_files(folders[1])
+    assert read_files(folders[0]) == read_files(folders[1])
 
 
 def test_fingerprints_and_missing_files(scenes: CustomSceneFolder, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 import copy
 import multiprocessing
 import os
+import pickle
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -60,10 +61,15 @@ def single(agent: str, partner: str, **options: Any) -> gymnasium.Env[Any, Any]:
 
 
 def rollout(envs: gymnasium.vector.VectorEnv[Any, Any, Any], steps: int, seed: int = 3) -> list[Any]:
-    """Return the results of `reset` and of all steps with random actions, and close the environments."""
+    """Return the results of `reset` and of all steps with random actions, and close the environments.
+
+    The first environment starts anew after eight steps, so that its episodes end later than those of the others.
+    """
     rng, said = np.random.default_rng(0), list(envs.reset(seed=seed))
     space = envs.single_action_space
-    for _ in range(steps):
+    for step in range(steps):
+        if step == 8:
+            envs.reset(options={"reset_mask": np.arange(envs.num_envs) == 0})
         draw = rng.normal(size=(envs.num_envs, *space.shape))
         seen = said[0] if len(said) == 2 else said[-5]
         near = 0.0 if not isinstance(seen, dict) or space.shape != (9,) else seen["robot_joint_position"]
@@ -352,6 +358,11 @@ def test_malformed_resets_change_nothing(three: HandoverVectorEnv, arguments: di
     three.step(STILL)[0].clear()
     after, *_ = three.step(STILL)
     np.testing.assert_allclose(after["time"], 0.2, atol=1e-6)
+
+
+def test_vector_environments_cannot_be_copied(three: HandoverVectorEnv) -> None:
+    with pytest.raises(OptionError, match="make another one"):
+        pickle.dumps(three)
 
 
 def test_two_threads_at_once_are_refused(three: HandoverVectorEnv, monkeypatch: pytest.MonkeyPatch) -> None:

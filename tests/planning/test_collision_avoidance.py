@@ -1,26 +1,23 @@
-"""Tests of speed and separation monitoring, which limits joint velocities near moving bodies and the table."""
+"""Tests of speed and separation monitoring near moving bodies, and of via points around obstacles."""
 
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
 from handover_marl.geometry.poses import transform_points
-from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.planning.collision_avoidance import (
     MovingBody,
+    PathObstacles,
     SeparationConfig,
     enforce_separation,
+    find_via_point,
+    is_path_clear,
     select_safe_velocity,
 )
-from handover_marl.planning.robot_clearance import (
-    Spheres,
-    find_closest_arm_points,
-    find_closest_points,
-)
-from tests.planning.robots import ARM, LIMITS, START
+from handover_marl.planning.robot_clearance import Spheres, find_closest_arm_points, find_closest_points
+from tests.planning.robots import IN_WORLD, START
 
 CONFIG = SeparationConfig()
-IN_WORLD = ArmInWorld(ARM, np.array([0.61, -0.5, 0.875, 0.0, 0.0, 0.7071068, 0.7071068]), LIMITS)
 HAND = IN_WORLD.compute_hand_pose(START)
 
 vectors = st.lists(st.floats(-1.0, 1.0), min_size=7, max_size=7).map(np.array)
@@ -82,3 +79,29 @@ def test_first_safe_velocity_is_selected() -> None:
     # The reached velocity counts: without braking, no candidate is better than the first.
     np.testing.assert_array_equal(chosen(np.repeat(wanted[:1], 4, axis=0)), wanted[0])
     np.testing.assert_array_equal(chosen(wanted[[0, 0, 0, 3]]), wanted[3])
+
+
+MIDDLE = np.array([0.0, 0.3, 0.0, -2.0, 0.0, 2.2, 0.785])
+# Joint positions on both sides of MIDDLE, which differ in the first joint.
+LEFT, RIGHT = (MIDDLE + side * np.eye(7)[0] for side in (-0.7, 0.7))
+#: Spheres far away, and at the hand's position in the middle of the path.
+FAR = Spheres(np.array([[5.0, 5.0, 5.0]]), np.array([0.1]))
+NEAR = Spheres(IN_WORLD.compute_hand_pose(MIDDLE)[None, :3], np.array([0.05]))
+TABLE, CLEARANCE = 0.5, 0.01
+
+
+def is_clear(joints: np.ndarray, goal: np.ndarray, bodies: Spheres) -> bool:
+    return is_path_clear(IN_WORLD, joints, goal, PathObstacles(bodies, TABLE, CLEARANCE))
+
+
+def test_via_point_avoids_the_obstacle_that_blocks_the_path() -> None:
+    assert is_clear(LEFT, RIGHT, FAR)
+    assert not is_clear(LEFT, RIGHT, NEAR)
+    assert is_clear(LEFT, LEFT + 0.2 * (RIGHT - LEFT), NEAR)
+    obstacles = PathObstacles(NEAR, TABLE, CLEARANCE)
+    found = find_via_point(IN_WORLD, LEFT, RIGHT, np.zeros((0, 7)), np.full(7, 2.0), obstacles, 24)
+    assert found is not None
+    assert is_clear(LEFT, found, NEAR)
+    assert is_clear(found, RIGHT, NEAR)
+    low, high = IN_WORLD.limits
+    assert ((found >= low) & (found <= high)).all()

@@ -1,0 +1,66 @@
+"""Tests of scripts that measure or search, and of examples for copying at a small size."""
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments import rank_correlation
+from experiments.measure_headroom import compute_best_of
+from experiments.strangers.search_best_responses import SEARCH_SPACE, draw_policy, format_results
+from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.policies.populations import Partner
+from handover_marl.policies.reference import parse_policy
+from tests.evaluation.reports.test_report import report
+from tests.helpers.short_episodes import shorten_episodes
+from tests.learning.training.scripts import script
+
+
+def test_drawn_settings_are_options() -> None:
+    drawn = [draw_policy(np.random.default_rng((0, repeat))) for repeat in (0, 0, 1)]
+    assert drawn[0] == drawn[1] != drawn[2]
+    reference = parse_policy("receiver", drawn[2])
+    assert dict(reference.options).keys() == SEARCH_SPACE.keys()
+    assert all(low <= dict(reference.options)[key] <= high for key, (low, high) in SEARCH_SPACE.items())
+    reference.make(SyntheticDataset())
+
+
+def test_best_response_is_that_of_the_best_search() -> None:
+    partners = (Partner("a", "f", "train", "a", "x"),)
+    found = {(0, 1): report(1, 1, receiver="second"), (0, 0): report(1, 2, receiver="first")}
+    text = format_results(partners, found)
+    assert "30.8, 61.5" in text
+    assert "second" in text
+    assert "first" not in text
+
+
+@pytest.mark.parametrize("k", [1, 2, 5])
+def test_best_of_k_is_the_mean_over_all_choices_of_the_draws(k: int) -> None:
+    successes = np.random.default_rng(0).random((4, 5)) < np.array([[0.0], [0.3], [0.6], [1.0]])
+    choices = [successes[:, list(chosen)].any(axis=1) for chosen in itertools.combinations(range(5), k)]
+    np.testing.assert_allclose(compute_best_of(successes, k), np.mean(choices, axis=0), atol=1e-12)
+
+
+def test_published_rates_are_correlated_with_a_study(tmp_path: Path) -> None:
+    study = tmp_path / "study.csv"
+    study.write_text("OMG Planner,80\nYang et al.,70\nGA-DDPG hold,60\nsomething else,1\n")
+    text = rank_correlation.main(rank_correlation.Args(str(study)))
+    assert "Spearman +0.50, Kendall +0.33, 3 receivers. By chance as good or better: 50.0 % of all orders" in text
+    assert "64.58" in text
+
+
+@pytest.mark.slow
+def test_own_receiver(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    shorten_episodes(monkeypatch, 2500)
+    example, scenes = script("own_receiver", monkeypatch), SyntheticDataset().list_scenes("s0", "val")[:1]
+    found = example.main(example.Args(dataset="synthetic", scenes=scenes, workers=1))
+    assert [episode.scene_id for episode in found.episodes] == list(scenes)
+    assert "success" in capsys.readouterr().out
+
+
+def test_pettingzoo_two_learners(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("torch", reason="needs the extra `train`")
+    example = script("pettingzoo_two_learners", monkeypatch)
+    learners = example.main(example.Args(dataset="synthetic", episodes=1, batch=1, max_cycles=3))
+    assert set(learners) == {"giver", "receiver"}
