@@ -301,6 +301,20 @@ def make_table(evaluations: Iterable[Evaluation], receivers: tuple[str, ...], da
     return f"{table}\n\nTest splits, {chosen[0].conditions}.{note} Input of {listed}."
 
 
+def make_summary(evaluations: Iterable[Evaluation], setup: str) -> str:
+    """Return a short Markdown table of the results of all receivers on a test split of DexYCB, with their inputs."""
+    chosen = [one for one in select_evaluations(evaluations, tuple(INPUTS)) if one.setup == setup]
+    header = ("receiver", "wait s", "success %", "n contact, drop, timeout", "AS %", "version", "input")
+    rows = []
+    for one in sorted(chosen, key=lambda one: (list(INPUTS).index(one.name), -one.wait_s)):
+        cells = dict(zip(HEADER, format_row(one), strict=True))
+        failures = f"{one.contact}, {one.drop}, {one.timeout}"
+        start = [cells[title] for title in header[:3]]
+        rows.append([*start, failures, cells["AS %"], one.version, INPUTS[one.name][0]])
+    caption = f"{setup} test, {chosen[0].episodes} episodes a row, {chosen[0].conditions}; 95 % intervals."
+    return f"{format_table(header, rows)}\n\n{caption}"
+
+
 def make_difference_table(
     evaluations: Iterable[Evaluation], pairs: Sequence[tuple[str, float, str, float]], setups: tuple[str, ...] = ("s0",)
 ) -> str:
@@ -373,6 +387,7 @@ def render_pages(evaluations: list[Evaluation]) -> dict[str, str]:
     environment = Environment(loader=FileSystemLoader(DATA), undefined=StrictUndefined, keep_trailing_newline=True)
     values = {
         "table": lambda *args, **options: make_table(evaluations, *args, **options),
+        "summary": lambda setup: make_summary(evaluations, setup),
         "differences": lambda *args, **options: make_difference_table(evaluations, *args, **options),
         "success": lambda *args: format_success(evaluations, *args),
         "failures": lambda *args: make_failure_list(evaluations, *args),

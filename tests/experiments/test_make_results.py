@@ -64,9 +64,9 @@ def test_stored_outcomes_are_printed(pages: Path, tmp_path: Path) -> None:
     assert len(rows) == 3
     for row, path in rows:
         check_outcome_row(row, path)
-    index = (pages / "index.md").read_text()
+    tables = (pages / "tables.md").read_text()
     for name in ("reactive", "yang2021", "gaddpg"):
-        assert f"Input of `{name}`: {make_results.INPUTS[name][0]}." in index
+        assert f"Input of `{name}`: {make_results.INPUTS[name][0]}." in tables
     text = (pages / "reactive.md").read_text()
     (difference,) = [line for line in text.splitlines() if line.startswith("| `reactive` (0 s, version 9.9.9)")]
     pairs = list(zip([1, 1, 1, 1, 1, 6, 8] * 30, [1, 1, 2, 4, 1] * 30, strict=False))[:144]
@@ -95,7 +95,7 @@ def test_adding_twice_changes_nothing(pages: Path, tmp_path: Path, monkeypatch: 
         make_results.main(make_results.Args((folder,), out=pages))
         texts.append({path.name: path.read_bytes() for path in pages.rglob("*.*") if path.is_file()})
     assert texts[0] == texts[1]
-    for name in ("index.md", "reactive.md"):
+    for name in ("reactive.md", "tables.md"):
         assert make_results.NO_DIFFERENCES in (pages / name).read_text(), "other evaluations have no stored outcomes"
 
 
