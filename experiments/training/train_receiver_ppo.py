@@ -103,7 +103,7 @@ class ActorCritic(nn.Module):
             self.normalization = initial.normalization
             numbers = itertools.chain(*zip(initial.weights, initial.biases, strict=True))
             for parameter, values in zip(self.actor.parameters(), numbers, strict=True):
-                parameter.data.copy_(values)
+                parameter.data.copy_(torch.as_tensor(values))
         # Random closing succeeds now and then, so the gripper's output is explored more than the motion.
         stds = [args.initial_std] * (n_outputs - 1) + [args.gripper_initial_std]
         self.log_std = nn.Parameter(torch.tensor(stds).log())

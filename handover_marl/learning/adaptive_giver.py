@@ -110,9 +110,9 @@ class AdaptiveGiver(ArrayGiver):
     def _choose(self, rng: np.random.Generator, observation: Observation) -> Vectors:
         """Return the best (7,) of many random offers in the episode of an observation (1, ...)."""
         offers = draw_offers(rng, self.config.offers, self.config.spread)
-        features = compute_offer_features(observation, offers, self.context)
-        if features is None:
-            return offers[0]
-        costs = self.config.reach_cost * compute_added_reaches(observation, offers)
-        best: Vectors = offers[int(np.argmax(compute_offer_scores(self._network(features)) - costs))]
+        features, number = compute_offer_features(observation, offers, self.context), 0
+        if features is not None:
+            costs = self.config.reach_cost * compute_added_reaches(observation, offers)
+            number = int(np.argmax(compute_offer_scores(self._network(features)) - costs))
+        best: Vectors = offers[number]
         return best
