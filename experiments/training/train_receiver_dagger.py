@@ -1,14 +1,15 @@
-"""Train a receiver to imitate another one by DAgger (Ross, Gordon and Bagnell, AISTATS 2011).
+r"""Train a receiver to imitate another one by DAgger (Ross, Gordon and Bagnell, AISTATS 2011).
 
-    python experiments/training/train_receiver_dagger.py --data-dir DIR --out runs/dagger
+    python experiments/training/train_receiver_ppo.py --data-dir DIR --giver replay --control-period 0.1 \
+        --discount 0.95 --decisions 30000 --out runs/servo.npz
+    python experiments/training/train_receiver_dagger.py --data-dir DIR --expert learned:runs/servo.npz --out runs/dagger
 
 In each round, the scenes of the training split are played once. In the first round the expert acts, with random
 disturbances. In later rounds, the network acts first; the expert takes over at a random time, or when the network
 closes the gripper, and shows how to go on from there. Decisions of the expert are recorded. The network is trained anew
 after each round. It maps features to the outputs of an action scheme, such as motions of the gripper, without a script.
-The folder gets
-`policy.npz` (`--receiver learned:runs/dagger/policy.npz`), which `train_receiver_ppo.py --initial` improves;
-`--resume` continues a run.
+The folder gets `policy.npz` (`--receiver learned:runs/dagger/policy.npz`), from which `train_receiver_ppo.py --initial`
+starts; `--resume` continues a run.
 """
 
 from collections.abc import Callable
@@ -47,8 +48,9 @@ class Args(SetupArgs):
     Attributes:
         out: Folder of the run.
         seed: Seed of all random numbers.
-        expert: Receiver to imitate, which must decide once per control period.
-        giver: Giver of all episodes.
+        expert: Receiver to imitate, which must decide once per control period. It should depend on little more than the
+            features: a network learns the mean of what an expert does in states with equal features.
+        giver: Giver of all episodes. With `replay` alone, networks learn the scenes by heart.
         features: Features of the receiver, inputs of the network.
         actions: Action scheme that decodes the network's outputs; it must be invertible.
         rounds: Number of rounds; each plays every training scene once.
@@ -71,21 +73,21 @@ class Args(SetupArgs):
 
     out: Path = Path("runs/dagger")
     seed: int = 0
-    expert: str = "reactive:period=0.1,near_period=0.1,approach_close_period=0.1"
-    giver: str = "replay"
+    expert: str = "learned:runs/servo.npz"
+    giver: str = "displaced"
     features: str = "grasp_velocity"
     actions: str = "cartesian_delta"
-    rounds: int = 4
+    rounds: int = 6
     control_period: float = 0.1
     disturbance: float = 0.3
-    disturbed_share: float = 0.15
+    disturbed_share: float = 0.1
     latest_takeover: float = 6.0
     change_weight: float = 20.0
     width: int = 256
-    updates: int = 8_000
+    updates: int = 5_000
     batch_size: int = 512
     learning_rate: float = 1e-3
-    weight_decay: float = 1e-3
+    weight_decay: float = 0.01
     val_scenes: int = 36
     val_physics: str = "mujoco"
     workers: int | None = None
