@@ -2,13 +2,13 @@ r"""Train a receiver to imitate another one by DAgger (Ross, Gordon and Bagnell,
 
     python experiments/training/train_receiver_ppo.py --data-dir DIR --giver replay --control-period 0.1 \
         --discount 0.95 --decisions 30000 --out runs/servo.npz
-    python experiments/training/train_receiver_dagger.py --data-dir DIR --expert learned:runs/servo.npz --out runs/dagger
+    python experiments/training/train_receiver_dagger.py --data-dir DIR --expert learned:runs/servo.npz --out runs/dag
 
 In each round, the scenes of the training split are played once. In the first round the expert acts, with random
 disturbances. In later rounds, the network acts first; the expert takes over at a random time, or when the network
 closes the gripper, and shows how to go on from there. Decisions of the expert are recorded. The network is trained anew
 after each round. It maps features to the outputs of an action scheme, such as motions of the gripper, without a script.
-The folder gets `policy.npz` (`--receiver learned:runs/dagger/policy.npz`), from which `train_receiver_ppo.py --initial`
+The folder gets `policy.npz` (`--receiver learned:runs/dag/policy.npz`), from which `train_receiver_ppo.py --initial`
 starts; `--resume` continues a run.
 """
 
@@ -71,7 +71,7 @@ class Args(SetupArgs):
         resume: Whether to continue the run in the folder `out`.
     """
 
-    out: Path = Path("runs/dagger")
+    out: Path = Path("runs/dag")
     seed: int = 0
     expert: str = "learned:runs/servo.npz"
     giver: str = "displaced"
