@@ -2,13 +2,14 @@ r"""Train a receiver to imitate another one by DAgger (Ross, Gordon and Bagnell,
 
     python experiments/training/train_receiver_ppo.py --data-dir DIR --giver replay --control-period 0.1 \
         --discount 0.95 --decisions 30000 --out runs/servo.npz
-    python experiments/training/train_receiver_dagger.py --data-dir DIR --expert learned:runs/servo.npz --out runs/dag
+    python experiments/training/train_receiver_dagger.py --data-dir DIR --expert learned:runs/servo.npz \
+        --out runs/dagger
 
 In each round, the scenes of the training split are played once. In the first round the expert acts, with random
 disturbances. In later rounds, the network acts first; the expert takes over at a random time, or when the network
 closes the gripper, and shows how to go on from there. Decisions of the expert are recorded. The network is trained anew
 after each round. It maps features to the outputs of an action scheme, such as motions of the gripper, without a script.
-The folder gets `policy.npz` (`--receiver learned:runs/dag/policy.npz`), from which `train_receiver_ppo.py --initial`
+The folder gets `policy.npz` (`--receiver learned:runs/dagger/policy.npz`), from which `train_receiver_ppo.py --initial`
 starts; `--resume` continues a run.
 """
 
@@ -38,6 +39,7 @@ from handover_marl.learning.training.run_folder import (
     summarize_evaluation,
 )
 from handover_marl.learning.training.scene_arguments import SetupArgs, run_script
+from handover_marl.policies.policy import Policy
 from handover_marl.policies.reference import parse_policy
 
 
@@ -48,14 +50,13 @@ class Args(SetupArgs):
     Attributes:
         out: Folder of the run.
         seed: Seed of all random numbers.
-        expert: Receiver to imitate, which must decide once per control period. It should depend on little more than the
+        expert: Receiver to imitate, whose control period must not change. It should depend on little more than the
             features: a network learns the mean of what an expert does in states with equal features.
         giver: Giver of all episodes. With `replay` alone, networks learn the scenes by heart.
         features: Features of the receiver, inputs of the network.
         actions: Action scheme that decodes the network's outputs; it must be invertible.
         rounds: Number of rounds; each plays every training scene once.
-        control_period: Time between two decisions (s).
-        disturbance: Standard deviation of the disturbances of the outputs.
+        disturbance: Standard deviation of the disturbances of the outputs that move the arm.
         disturbed_share: Share of the decisions that are disturbed.
         latest_takeover: Largest time at which the expert takes over (s).
         change_weight: Weight of decisions in which the expert opens or closes the gripper, which are few; others have
@@ -71,14 +72,13 @@ class Args(SetupArgs):
         resume: Whether to continue the run in the folder `out`.
     """
 
-    out: Path = Path("runs/dag")
+    out: Path = Path("runs/dagger")
     seed: int = 0
     expert: str = "learned:runs/servo.npz"
     giver: str = "displaced"
     features: str = "grasp_velocity"
     actions: str = "cartesian_delta"
     rounds: int = 6
-    control_period: float = 0.1
     disturbance: float = 0.3
     disturbed_share: float = 0.1
     latest_takeover: float = 6.0
@@ -106,25 +106,30 @@ class Decisions(NamedTuple):
     outputs: np.ndarray
 
 
+def make_expert(args: Args) -> Policy:
+    """Make the receiver to imitate, which has the robot and the grasps of the training's dataset."""
+    return parse_policy("receiver", args.expert).make(args.open_dataset(), setup=args.setup)
+
+
 def make_player(args: Args, number: int, student: DenseNetwork | None) -> Callable[[int], Decisions]:
-    """Return a function that plays a scene and returns its decisions.
+    """Return a function that plays the scene with a number and returns the expert's decisions.
 
     Args:
         args: Arguments of the training.
         number: Number of the round.
         student: Network that acts until the expert takes over; None: the expert always acts.
     """
+    expert = make_expert(args)
     config = EnvConfig(
         setup=args.setup,
         split="train",
         data_dir=args.data_dir,
         dataset=args.dataset,
         physics="mujoco",
-        control_period=args.control_period,
+        control_period=expert.hold_time,
     )
     env = handover_marl.freeze(handover_marl.parallel_env(config), "receiver", args.giver)
     context = env.unwrapped.policy_context
-    expert = parse_policy("receiver", args.expert).make_from_context(context)
     features = make_features("receiver", args.features, context)
     scheme = make_scheme("receiver", args.actions, context)
 
@@ -147,9 +152,8 @@ def make_player(args: Args, number: int, student: DenseNetwork | None) -> Callab
                 inputs.append(vector)
                 targets.append(outputs)
             if rng.random() < args.disturbed_share:
-                outputs = outputs + args.disturbance * rng.standard_normal(scheme.size) * (
-                    np.arange(scheme.size) < scheme.size - 1
-                )
+                noise = args.disturbance * rng.standard_normal(scheme.size - 1)
+                outputs = outputs + np.append(noise, 0.0)  # the gripper is not disturbed
             scheme.set_outputs(outputs)
             observations = env.step({"receiver": scheme.compute_action(observation)})[0]
         return Decisions(
@@ -161,7 +165,7 @@ def make_player(args: Args, number: int, student: DenseNetwork | None) -> Callab
 
 
 def fit(decisions: Decisions, args: Args) -> DenseNetwork:
-    """Train a new network from features to outputs."""
+    """Train a new network from features to the expert's outputs."""
     torch.manual_seed(args.seed)
     inputs, targets = map(torch.as_tensor, decisions)
     mean, scale = inputs.mean(0), inputs.std(0).clamp(min=0.05)
@@ -190,9 +194,8 @@ def main(args: Args) -> Path:
     folder = open_run_folder(args.out, args, args.resume, dataset.name, ("rounds", "workers"))
     scenes = select_training_scenes(dataset.list_scenes(args.setup, "train"))
     validation = dataset.list_scenes(args.setup, "val")[: args.val_scenes]
-    spec = PolicySpec(
-        "receiver", args.features, args.actions, args.control_period, describe_origin("train_receiver_dagger", args)
-    )
+    origin = describe_origin("train_receiver_dagger", args)
+    spec = PolicySpec("receiver", args.features, args.actions, make_expert(args).hold_time, origin)
     parts: list[Decisions] = []
     student = None
     for number in range(args.rounds):
@@ -202,6 +205,7 @@ def main(args: Args) -> Path:
         if not policy.exists():
             write_policy(policy, spec, fit(join_samples(parts), args))
         student = read_policy(policy, "receiver")[1]
+        write_policy(folder / POLICY, spec, student)
         if validation:
             report = handover_marl.evaluate_pair(
                 args.giver,
@@ -216,8 +220,6 @@ def main(args: Args) -> Path:
                 progress=False,
             )
             print(summarize_evaluation(report, f"{number + 1} rounds, giver {args.giver}"), flush=True)
-    assert student is not None
-    write_policy(folder / POLICY, spec, student)
     return folder / POLICY
 
 

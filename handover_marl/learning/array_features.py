@@ -239,12 +239,13 @@ class GraspVelocityFeatures(GraspFeatures):
         self._velocities[row], self._times[row] = 0.0, -1.0
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return features (r, 70) of the episodes with indices `rows`; a new time means a new decision."""
-        times, axes = (
-            widen(observation["time"][:, 0]),
-            matrices_from_quaternions(widen(observation["gripper_pose"][:, 3:])),
+        """Return the features (r, 70) of the episodes `rows`; two calls at the same time count as one decision."""
+        times, gripper = widen(observation["time"][:, 0]), widen(observation["gripper_pose"])
+        xp, axes, parts = (
+            get_namespace(times),
+            matrices_from_quaternions(gripper[:, 3:]),
+            ("object_poses", "hand_keypoints"),
         )
-        xp, parts = get_namespace(times), ("object_poses", "hand_keypoints")
         positions = xp.stack([widen(observation[key][:, 0, :3]) for key in parts], axis=1)
         later = xp.nonzero(times != self._times[rows])[0]
         known = later[self._times[rows[later]] >= 0.0]

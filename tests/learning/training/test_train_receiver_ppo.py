@@ -58,7 +58,7 @@ def test_a_training_repeats_from_its_seed(train: ModuleType, tmp_path: Path) -> 
 
 @pytest.mark.slow
 def test_a_training_continues_from_a_policy_file(train: ModuleType, tmp_path: Path) -> None:
-    """With a learning rate of zero, the policy that is written acts as the first one."""
+    """Train with a learning rate of zero: the policy that is written acts as the first one."""
     rng = np.random.default_rng(0)
     sizes = ((32, 70), (32, 32), (7, 32))
     weights = tuple(rng.normal(0, 0.1, size).astype(np.float32) for size in sizes)
