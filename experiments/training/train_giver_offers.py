@@ -38,9 +38,9 @@ from handover_marl.learning.policy_spec import DenseNetwork, InputNormalization,
 from handover_marl.learning.training.run_folder import (
     describe_origin,
     open_run_folder,
+    print_validation,
     select_training_scenes,
     spawn_seeds,
-    summarize_evaluation,
 )
 from handover_marl.learning.training.scene_arguments import SetupArgs, run_script
 from handover_marl.policies.policy import make_policy_context
@@ -70,7 +70,7 @@ class Args(SetupArgs):
         batch_size: Number of episodes per gradient step.
         learning_rate: Learning rate of AdamW at the start; it decays to zero.
         weight_decay: Weight decay of AdamW.
-        val_scenes: Largest number of validation scenes in the final evaluation; 0 skips it.
+        val_scenes: Number of validation scenes in the final evaluation, evenly chosen; 0 skips it.
         val_physics: Physics of the final evaluation: fast, exact or mujoco.
         resume: Whether to continue the run in the folder `out`.
     """
@@ -243,20 +243,10 @@ def main(args: Args) -> Path:
     network = fit(train(args, folder), args, args.seed)
     spec = PolicySpec("giver", OFFER_FEATURES, ACTIONS, CONTROL_PERIOD, describe_origin("train_giver_offers", args))
     write_policy(folder / POLICY, spec, network)
-    scenes = args.open_dataset().list_scenes(args.setup, "val")[: args.val_scenes]
-    for receiver in args.receivers if scenes else ():
+    for receiver in args.receivers:
         for giver in ("replay", f"adaptive:weights={folder / POLICY}"):
-            report = handover_marl.evaluate_pair(
-                giver,
-                receiver,
-                args.setup,
-                "val",
-                scenes=scenes,
-                dataset=args.dataset,
-                data_dir=args.data_dir,
-                physics=args.val_physics,
-            )
-            print(summarize_evaluation(report, f"{receiver} with {giver}"))
+            label = f"{receiver} with {giver}"
+            print_validation(args, args.val_scenes, args.val_physics, giver, receiver, label)
     return folder / POLICY
 
 

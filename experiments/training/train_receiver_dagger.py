@@ -35,8 +35,8 @@ from handover_marl.learning.training.run_folder import (
     describe_origin,
     make_mlp,
     open_run_folder,
+    print_validation,
     select_training_scenes,
-    summarize_evaluation,
 )
 from handover_marl.learning.training.scene_arguments import SetupArgs, run_script
 from handover_marl.policies.policy import Policy
@@ -66,7 +66,7 @@ class Args(SetupArgs):
         batch_size: Number of decisions per gradient step.
         learning_rate: Learning rate of AdamW at the start; it decays to zero.
         weight_decay: Weight decay of AdamW.
-        val_scenes: Largest number of validation scenes in the evaluation after each round; 0 skips it.
+        val_scenes: Number of validation scenes in the evaluation after each round, evenly chosen; 0 skips it.
         val_physics: Physics of the evaluations: fast, exact or mujoco.
         workers: Number of processes, on which the results do not depend; default: one per core.
         resume: Whether to continue the run in the folder `out`.
@@ -193,7 +193,6 @@ def main(args: Args) -> Path:
     dataset = args.open_dataset()
     folder = open_run_folder(args.out, args, args.resume, dataset.name, ("rounds", "workers"))
     scenes = select_training_scenes(dataset.list_scenes(args.setup, "train"))
-    validation = dataset.list_scenes(args.setup, "val")[: args.val_scenes]
     origin = describe_origin("train_receiver_dagger", args)
     spec = PolicySpec("receiver", args.features, args.actions, make_expert(args).hold_time, origin)
     parts: list[Decisions] = []
@@ -206,20 +205,8 @@ def main(args: Args) -> Path:
             write_policy(policy, spec, fit(join_samples(parts), args))
         student = read_policy(policy, "receiver")[1]
         write_policy(folder / POLICY, spec, student)
-        if validation:
-            report = handover_marl.evaluate_pair(
-                args.giver,
-                f"learned:{policy}",
-                args.setup,
-                "val",
-                scenes=validation,
-                dataset=args.dataset,
-                data_dir=args.data_dir,
-                physics=args.val_physics,
-                workers=args.workers,
-                progress=False,
-            )
-            print(summarize_evaluation(report, f"{number + 1} rounds, giver {args.giver}"), flush=True)
+        label = f"{number + 1} rounds, giver {args.giver}"
+        print_validation(args, args.val_scenes, args.val_physics, args.giver, f"learned:{policy}", label)
     return folder / POLICY
 
 

@@ -23,7 +23,6 @@ from torch import nn
 from torch.distributions import Normal
 
 import handover_marl
-from handover_marl.datasets.splits import select_scenes_evenly
 from handover_marl.envs.custom_rewards import set_discount
 from handover_marl.geometry.arrays import make_tensor_factory
 from handover_marl.learning.adapters.modules import dense_network_from_module
@@ -32,8 +31,8 @@ from handover_marl.learning.policy_spec import DenseNetwork, PolicySpec
 from handover_marl.learning.training.run_folder import (
     describe_origin,
     make_mlp,
+    print_validation,
     spawn_seeds,
-    summarize_evaluation,
 )
 from handover_marl.learning.training.scene_arguments import RlArgs, run_script
 from handover_marl.simulation.engines import CPU, THREADS, WARP, BatchBackend, check_backend
@@ -264,22 +263,6 @@ def train(args: Args, initial: DenseNetwork | None = None) -> ActorCritic:
     return model.cpu()
 
 
-def evaluate(args: Args) -> None:
-    """Evaluate the policy file on the validation split, and print the outcomes."""
-    scenes = select_scenes_evenly(args.open_dataset().list_scenes(args.setup, "val"), args.val_scenes)
-    report = handover_marl.evaluate_pair(
-        args.giver,
-        f"learned:{args.out}",
-        args.setup,
-        "val",
-        dataset=args.dataset,
-        data_dir=args.data_dir,
-        scenes=scenes,
-        physics=args.val_physics,
-    )
-    print(summarize_evaluation(report, f"{args.setup} val with the giver {args.giver}"))
-
-
 def main(args: Args) -> Path:
     args = args.resolve_setup()
     check_backend(BatchBackend(args.backend, args.device))
@@ -300,8 +283,8 @@ def main(args: Args) -> Path:
         network = replace(network, normalization=initial.normalization)
     write_policy(args.out, spec, network)
     print(args.out)
-    if args.val_scenes:
-        evaluate(args)
+    label = f"{args.setup} val with the giver {args.giver}"
+    print_validation(args, args.val_scenes, args.val_physics, args.giver, f"learned:{args.out}", label)
     return args.out
 
 

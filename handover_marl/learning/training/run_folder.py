@@ -9,10 +9,13 @@ import numpy as np
 import torch
 from torch import nn
 
+from handover_marl.datasets.splits import select_scenes_evenly
 from handover_marl.errors import ResultsError
+from handover_marl.evaluation.benchmark import evaluate_pair
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.execution.files import shorten_text, write_atomically
 from handover_marl.execution.reading import check_archive, read_plain_file
+from handover_marl.learning.training.scene_arguments import SetupArgs
 
 POLICY, CHECKPOINT = "policy.npz", "checkpoint.pt"
 _FAILURES = ("contact", "drop", "timeout")
@@ -129,6 +132,32 @@ def summarize_evaluation(report: Report, steps: str) -> str:
     success = report.rates["success"].format()
     others = ", ".join(f"{name} {100 * (report.rates[name].mean or 0.0):.1f} %" for name in _FAILURES)
     return f"{steps}: success {success} %, {others} [{n} scenes of {metadata.dataset}, {metadata.physics} physics]"
+
+
+def print_validation(args: SetupArgs, count: int, physics: str, giver: str, receiver: str, label: str) -> None:
+    """Evaluate a pair on the validation split, and print a line with its outcomes.
+
+    Args:
+        args: Dataset and setup.
+        count: Number of scenes, evenly chosen; 0 skips the evaluation.
+        physics: Physics engine: fast, exact or mujoco.
+        giver: Giver, with options.
+        receiver: Receiver, with options.
+        label: Text at the start of the line.
+    """
+    if not count:
+        return
+    report = evaluate_pair(
+        giver,
+        receiver,
+        args.setup,
+        "val",
+        scenes=select_scenes_evenly(args.open_dataset().list_scenes(args.setup, "val"), count),
+        dataset=args.dataset,
+        data_dir=args.data_dir,
+        physics=physics,
+    )
+    print(summarize_evaluation(report, label), flush=True)
 
 
 def make_mlp(n_inputs: int, n_outputs: int, width: int = 64, gain: float = 1.0) -> nn.Sequential:
