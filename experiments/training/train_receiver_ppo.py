@@ -269,12 +269,12 @@ def main(args: Args) -> Path:
     if args.backend == WARP:
         args = replace(args, workers=1)
     check_policy_path(args.out)
+    args.out.parent.mkdir(parents=True, exist_ok=True)  # before the training, whose result it must not cost
     initial = None
     if args.initial is not None:
         spec, initial, _ = read_policy(args.initial, "receiver")
         args = replace(args, features=spec.features, actions=spec.actions, control_period=spec.control_period)
     model = train(args, initial)
-    args.out.parent.mkdir(parents=True, exist_ok=True)
     spec = PolicySpec(
         "receiver", args.features, args.actions, args.control_period, describe_origin("train_receiver_ppo", args)
     )
