@@ -3,7 +3,8 @@
     python experiments/training/train_receiver_ppo.py --data-dir DIR --out runs/ppo.npz
 
 The policy learns from a reward when to close the gripper and how to correct the approach to a grasp. With
-`--initial FILE` it improves a policy of `train_receiver_dagger.py`, which moves the gripper without a script.
+`--initial FILE` it starts from a policy of `train_receiver_dagger.py`, which moves the gripper without a script; this
+needs a small `--learning-rate`, and has not raised the success rate so far.
 
 The script needs the extra `train`, and with `--backend warp` the extra `warp`: environments and networks are then on
 one device, for example `--backend warp --device cuda --num-envs 1024`. The policy file runs without PyTorch:
