@@ -48,7 +48,7 @@ NEEDS = {
     "torchrl": "torchrl",
     ".html": "viser",
 }
-#: Modules that only the environment of `make loops` has, by the first words of the blocks that need them.
+#: Modules that only the environment of `make loops` has, by parts of the blocks that need them.
 LOOPS = {"from ray.rllib": "tree", "from tianshou": "tianshou", "from benchmarl": "benchmarl"}
 ENVIRONMENTS, DECISIONS = 2, 16
 #: Pages whose programs need what happens late in an episode: a decision of the giver or a release.
@@ -254,7 +254,7 @@ def test_programs_run(page: Path, small: None, monkeypatch: pytest.MonkeyPatch) 
         )
     try:
         for block in blocks(page, "python"):
-            needed = [module for words, module in LOOPS.items() if block.text.startswith(words)]
+            needed = [module for words, module in LOOPS.items() if words in block.text]
             if all(map(importlib.util.find_spec, needed)):
                 run(block, names, SMALLER)
     finally:
