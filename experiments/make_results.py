@@ -298,7 +298,7 @@ def make_table(evaluations: Iterable[Evaluation], receivers: tuple[str, ...], da
         inputs.setdefault(INPUTS[receiver][0], []).append(f"`{receiver}`")
     listed = "; ".join(f"{', '.join(names)}: {words}" for words, names in inputs.items())
     note = " Published rows: all objects, MANO hands." if methods else ""
-    return f"{table}\n\nTest splits, {chosen[0].conditions}.{note} Input of {listed}."
+    return f"{table}\n\n*Test splits, {chosen[0].conditions}.{note} Input of {listed}.*"
 
 
 def make_summary(evaluations: Iterable[Evaluation], setup: str) -> str:
@@ -311,7 +311,7 @@ def make_summary(evaluations: Iterable[Evaluation], setup: str) -> str:
         failures = f"{one.contact}, {one.drop}, {one.timeout}"
         start = [cells[title] for title in header[:3]]
         rows.append([*start, failures, cells["AS %"], one.version, INPUTS[one.name][0]])
-    caption = f"{setup} test, {chosen[0].episodes} episodes a row, {chosen[0].conditions}; 95 % intervals."
+    caption = f"*{setup} test, {chosen[0].episodes} episodes a row, {chosen[0].conditions}; 95 % intervals.*"
     return f"{format_table(header, rows)}\n\n{caption}"
 
 
@@ -347,7 +347,7 @@ def make_difference_table(
     if not rows:
         return NO_DIFFERENCES
     header = ["A (wait)", "B (wait)", "setup", "n episodes", *(f"{name}, points" for name in (*OUTCOMES, "AS"))]
-    text = f"Differences A minus B, paired by scene, with 95 % intervals: test splits, {chosen[0].conditions}."
+    text = f"*Differences A minus B, paired by scene, with 95 % intervals: test splits, {chosen[0].conditions}.*"
     return "\n".join([format_table(header, rows), "", text, "", "```bash", *commands, "```"])
 
 
