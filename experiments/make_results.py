@@ -357,7 +357,7 @@ def format_success(evaluations: Iterable[Evaluation], receiver: str, setup: str,
     (one,) = [one for one in chosen if (one.receiver, one.setup, one.wait_s) == (receiver, setup, wait_s)]
     low, high = compute_wilson_interval(one.success, one.episodes)
     rate = f"{100 * one.success / one.episodes:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
-    return f"{rate} of {one.episodes} episodes (version {one.version})"
+    return f"{rate} of {one.episodes} episodes with version {one.version}"
 
 
 def make_failure_list(evaluations: Iterable[Evaluation], receiver: str) -> str:
