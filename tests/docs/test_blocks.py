@@ -43,7 +43,6 @@ NEEDS = {
     "obs_mode=": "embreex",
     'backend="warp"': "mujoco_warp",
     "from stable_baselines3": "stable_baselines3",
-    "import stable_baselines3": "stable_baselines3",
     "import torch": "torch",
     "torchrl": "torchrl",
     ".html": "viser",
