@@ -7,8 +7,8 @@ r"""Train a receiver to imitate another one by DAgger (Ross, Gordon and Bagnell,
 
 In each round, batches of episodes are simulated together. In the first round the expert acts, with random disturbances.
 In later rounds, the network acts first; the expert takes over at a random time, or when the network closes the gripper,
-and shows how to go on from there. Decisions of the expert are recorded. The network is trained anew after each round. It
-maps features to the outputs of an action scheme, such as motions of the gripper, without a script. The folder gets
+and shows how to go on from there. Decisions of the expert are recorded. The network is trained anew after each round.
+It maps features to the outputs of an action scheme, such as motions of the gripper, without a script. The folder gets
 `policy.npz` (`--receiver learned:runs/dagger/policy.npz`), from which `train_receiver_ppo.py --initial` starts;
 `--resume` continues a run.
 """

@@ -187,7 +187,7 @@ class ReceiverFeatures(ArrayFeatures):
 
 
 class GraspFeatures(ReceiverFeatures):
-    """Features (64): those of `ReceiverFeatures` (56), and of the known grasp of lowest cost (8).
+    """Features (64): those of `ReceiverFeatures` (56), and of the grasp of lowest cost (8).
 
     The latter are, in the gripper frame: translation to the grasp (3, scaled), rotation vector to it (3), clearance
     of the gripper to the person's hand at the grasp (1, scaled), and whether grasps of the object are known (1).
@@ -259,7 +259,7 @@ class GraspVelocityFeatures(GraspFeatures):
 class GraspProximityFeatures(GraspFeatures):
     """Features (12) that suffice to decide when to close the gripper.
 
-    In the gripper frame: translation (3) and rotation vector (3) to the known grasp of lowest cost. Then
+    In the gripper frame: translation (3) and rotation vector (3) to the grasp of lowest cost. Then
     follow the proximity of position and orientation to the grasp, which decay exponentially (2), the
     finger joints (2), whether the object was released (1), and whether grasps of the object are known (1). With so
     few features a policy learns to close the gripper from few episodes.

@@ -149,7 +149,7 @@ class CartesianDeltaScheme(HandMotionScheme, InvertibleScheme):
 
 
 class GraspServoScheme(HandMotionScheme):
-    """Scheme that moves to the known grasp of lowest cost, with corrections by the outputs, and then to the goal.
+    """Scheme that moves to the grasp of lowest cost, with corrections by the outputs, and then to the goal.
 
     The arm stays at the waiting pose during `wait`. Then it approaches the grasp chosen by
     `handover_marl.learning.grasp_selector` along the grasp's z axis: the farther the gripper is from
