@@ -86,7 +86,7 @@ class Args(SetupArgs):
     giver: str = "displaced"
     features: str = "grasp_velocity"
     actions: str = "cartesian_delta"
-    rounds: int = 8
+    rounds: int = 5
     batches: int = 8
     num_envs: int = 64
     seconds: float = 20.0
@@ -94,8 +94,8 @@ class Args(SetupArgs):
     disturbed_share: float = 0.1
     latest_takeover: float = 6.0
     change_weight: float = 20.0
-    width: int = 256
-    updates: int = 5_000
+    width: int = 512
+    updates: int = 15_000
     batch_size: int = 512
     learning_rate: float = 1e-3
     weight_decay: float = 0.01
