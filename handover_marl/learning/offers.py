@@ -137,7 +137,8 @@ def _compute_clearances(grasps: Array, joints: AnyArray) -> Array:
     u, v, w = (axes[:, None, axis] for axis in range(3))
     along = (x * u + y * v + z * w).clip(_BACK_Z, _TIP_Z)
     x, y, z = x - along * u, y - along * v, z - along * w
-    return np.sqrt(np.min(x * x + y * y + z * z, axis=-1)).clip(None, MAX_CLEARANCE)
+    clearances: Array = np.sqrt(np.min(x * x + y * y + z * z, axis=-1)).clip(None, MAX_CLEARANCE)
+    return clearances
 
 
 @functools.lru_cache(maxsize=1024)

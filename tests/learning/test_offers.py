@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.metrics.fluency import CHEST, HALF_SHOULDER_WIDTH
 from handover_marl.episode.observations import Observation, add_episode_axis
+from handover_marl.geometry.panda import HALF_TURN
 from handover_marl.geometry.poses import compose, inverse_transform_points, invert_pose, transform_points
 from handover_marl.learning.offers import (
     N_OFFER_FEATURES,
@@ -20,8 +22,8 @@ from handover_marl.learning.offers import (
     draw_offers,
 )
 from handover_marl.receivers import make_policy_context
+from handover_marl.receivers.grasp_library import load_hand_poses
 from tests.givers.test_givers import seen
-from tests.learning.grasps import select_grasp
 from tests.learning.test_schemes import handover_action
 
 CONTEXT = make_policy_context(SyntheticDataset())
@@ -79,12 +81,21 @@ def test_the_best_grasp_is_that_of_an_observation_of_the_offered_object(seed: in
     joints = transform_points(
         pose, inverse_transform_points(observation["object_poses"][0], observation["hand_keypoints"])
     )
-    there = observation | {"object_poses": np.tile(pose, (5, 1)), "hand_keypoints": joints}
-    selected = select_grasp(CONTEXT, there)
-    assert selected is not None
-    grasp, clearance = selected
+    known = load_hand_poses(CONTEXT.grasps, CONTEXT.object_names[int(observation["object_classes"][0])])
+    assert known is not None
+    grasps = compose(pose, np.concatenate([known, compose(known, np.array(HALF_TURN))]))
+    gripper = observation["gripper_pose"].astype(float)
+    turns = Rotation.from_quat(gripper[3:]).inv() * Rotation.from_quat(grasps[:, 3:])
+    local = np.stack([inverse_transform_points(grasp, joints) for grasp in grasps])
+    local[..., 2] -= local[..., 2].clip(-0.05, 0.11)
+    clearances = np.minimum(np.linalg.norm(local, axis=-1).min(axis=1), 0.2)
+    costs = np.linalg.norm(grasps[:, :3] - gripper[:3], axis=1) + 0.25 * turns.magnitude()
+    costs += 4.0 * np.maximum(0.09 - clearances, 0.0)
+    best = int(np.argmin(costs))
+    clearance = clearances[best]
+    assert features[0, 5] == pytest.approx(costs[best], abs=1e-5)
     assert features[0, 6] / 10.0 == pytest.approx(clearance, abs=1e-5)
-    np.testing.assert_allclose(features[0, 17:20], grasp[:3], atol=1e-5)
+    np.testing.assert_allclose(features[0, 17:20], grasps[best, :3], atol=1e-5)
     # The nearest grasp costs at most as much as any other, and the mean of one grasp is its own clearance.
     assert features[0, 4] <= features[0, 7] + 1e-6
     assert features[0, 0] <= 10.0 * clearance + 1e-5 or features[0, 4] >= features[0, 7] - 1e-6
