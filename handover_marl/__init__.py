@@ -25,7 +25,7 @@ from handover_marl.version import __version__
 
 # Public names by module, imported at first use to keep the import fast; `__init__.pyi` has their types.
 _NAMES = {
-    "config": ("WorldConfig",),
+    "config": ("CAMERAS", "CameraConfig", "WorldConfig", "make_camera"),
     "envs.config": ("EnvConfig",),
     "envs.constructors": ("benchmark_env", "env", "parallel_env"),
     "envs.custom_rewards": ("combine_rewards", "declare_terms"),

@@ -1,6 +1,9 @@
 """Types of the public names; `__init__.py` imports them at first use."""
 
+from handover_marl.config import CAMERAS as CAMERAS
+from handover_marl.config import CameraConfig as CameraConfig
 from handover_marl.config import WorldConfig as WorldConfig
+from handover_marl.config import make_camera as make_camera
 from handover_marl.envs.config import EnvConfig as EnvConfig
 from handover_marl.envs.constructors import benchmark_env as benchmark_env
 from handover_marl.envs.constructors import env as env
