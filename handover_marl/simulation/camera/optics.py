@@ -94,6 +94,11 @@ class Pinhole:
         return depth
 
     @functools.cached_property
+    def pixels(self) -> npt.NDArray[np.int64]:
+        """Numbers (h, w) of the pixels, row by row."""
+        return np.arange(self.n_pixels).reshape(self.height, self.width)
+
+    @functools.cached_property
     def rays(self) -> Array:
         """Directions (n, 3) of the rays of all n pixels, row by row, in the camera's frame, with z = 1."""
         columns, rows = np.meshgrid(np.arange(self.width), np.arange(self.height))
