@@ -55,6 +55,7 @@ _NAMES = {
     "learning.custom_encodings": ("FeatureExtractor", "declare_size"),
     "simulation.camera.images": ("SegmentationLabel",),
     "simulation.camera.noise": ("CameraNoise",),
+    "simulation.camera.randomization": ("CameraRandomization",),
 }
 _MODULES = {name: f"{__name__}.{module}" for module, names in _NAMES.items() for name in names}
 

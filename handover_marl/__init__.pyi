@@ -43,4 +43,5 @@ from handover_marl.learning.custom_encodings import FeatureExtractor as FeatureE
 from handover_marl.learning.custom_encodings import declare_size as declare_size
 from handover_marl.simulation.camera.images import SegmentationLabel as SegmentationLabel
 from handover_marl.simulation.camera.noise import CameraNoise as CameraNoise
+from handover_marl.simulation.camera.randomization import CameraRandomization as CameraRandomization
 from handover_marl.version import __version__ as __version__

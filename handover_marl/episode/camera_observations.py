@@ -30,12 +30,8 @@ from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import MOUNT_LINKS
 from handover_marl.simulation.camera.images import CameraImage, JointSnapshot, SegmentationLabel
 from handover_marl.simulation.camera.noise import CameraNoise, apply_camera_noise, resolve_camera_noise
-from handover_marl.simulation.camera.optics import (
-    CAMERA_MODELS,
-    HANDOVERSIM_MODEL,
-    deproject,
-    make_pinhole,
-)
+from handover_marl.simulation.camera.optics import CAMERA_MODELS, HANDOVERSIM_MODEL, Pinhole, deproject, make_pinhole
+from handover_marl.simulation.camera.randomization import CameraDraw, CameraRandomization
 from handover_marl.simulation.camera.renderers import BULLET, RENDERERS, resolve_renderer
 from handover_marl.simulation.world import World
 
@@ -166,6 +162,7 @@ class SensorConfig:
             "pinhole" is exact.
         camera_noise: Noise of the images: None (no noise), "realsense" or a `CameraNoise`.
         cameras: Names or configurations of the cameras; configurations after initialization.
+        randomization: Random deviations of the cameras, drawn in each episode; None for none.
 
     Raises:
         UnknownNameError: There is no such renderer, camera model, camera noise or camera.
@@ -176,6 +173,7 @@ class SensorConfig:
     camera_model: str = HANDOVERSIM_MODEL
     camera_noise: str | CameraNoise | None = None
     cameras: Iterable[str | CameraConfig] = WRIST_ONLY
+    randomization: CameraRandomization | None = None
 
     def __post_init__(self) -> None:
         check_name("renderer", self.renderer, RENDERERS)
@@ -183,6 +181,8 @@ class SensorConfig:
         if self.camera_noise is not None:
             resolve_camera_noise(self.camera_noise)
         object.__setattr__(self, "cameras", resolve_cameras(self.cameras))
+        if self.randomization is not None:
+            check_config("camera_randomization", self.randomization, CameraRandomization)
 
     @property
     def noise(self) -> CameraNoise | None:
@@ -192,7 +192,8 @@ class SensorConfig:
     @property
     def has_latency(self) -> bool:
         """Whether images of a camera arrive late, so that the steps before an observation matter."""
-        return self.noise is not None or any(camera.period for camera in resolve_cameras(self.cameras))
+        is_late = self.randomization is not None and self.randomization.latency > 0.0
+        return is_late or self.noise is not None or any(camera.period for camera in resolve_cameras(self.cameras))
 
     def describe(self, obs_mode: str, physics: str) -> str:
         """Return a text on renderer (in this physics), camera model, noise and cameras for results.
@@ -202,7 +203,7 @@ class SensorConfig:
         if not has_camera(obs_mode):
             return ""
         parts = [f"renderer {resolve_renderer(self.renderer, physics)}", f"camera model {self.camera_model}"]
-        parts += [] if self.noise is None else [repr(self.noise)]
+        parts += [repr(part) for part in (self.noise, self.randomization) if part is not None]
         return ", ".join(parts if self.cameras == BENCHMARK_SENSORS.cameras else [*parts, *map(repr, self.cameras)])
 
 
@@ -251,11 +252,14 @@ class CameraSensor:
         check_name("camera", name, cameras)
         self._camera_config = cameras[name]
         self._config, self._physics, self._physics_config = config, physics, physics_config
-        self._noise, self._camera = config.noise, make_pinhole(self._camera_config)
-        self._delay = 0 if self._noise is None else round(self._noise.latency / TIME_STEP)
+        self._camera, self._randomization = make_pinhole(self._camera_config), config.randomization
         self._period = round(self._camera_config.period / TIME_STEP)
-        self.has_latency = self._delay > 0 or self._period > 1
+        noise, random = config.noise, config.randomization or CameraRandomization()
+        is_late = noise is not None and round(noise.latency / TIME_STEP) > 0
+        self.has_latency = is_late or random.latency > 0.0 or self._period > 1
         self._seed = 0
+        # Camera of the current episode; None before its first use.
+        self._drawn: CameraDraw | None = None
         self._scene: Scene | None = None
         self._renderer: str | None = None
         self._ray_camera: RayCamera | None = None
@@ -269,21 +273,23 @@ class CameraSensor:
         if scene is not self._scene:
             self._ray_camera = None
         self._scene = scene
-        self._last = None
+        self._last = self._drawn = None
         self._history.clear()
         if self.has_latency:
             self.record_snapshot(world, 0)
 
     def seed(self, seed: int) -> None:
-        """Set the seed of subsampling and noise, which is 0 by default."""
+        """Set the seed of subsampling, noise and randomisation, which is 0 by default."""
         self._seed = seed
-        self._last = None
+        self._last = self._drawn = None
 
     def record_snapshot(self, world: World, steps: int) -> None:
         """Record the joint positions of `world` after `steps` physics steps, if the camera takes an image then."""
         if steps % max(self._period, 1) == 0:
             self._history.append((steps, world.read_joint_snapshot()))
-        while len(self._history) > 1 and self._history[1][0] + self._delay <= steps:
+        noise = self._draw_camera().noise
+        delay = 0 if noise is None else round(noise.latency / TIME_STEP)
+        while len(self._history) > 1 and self._history[1][0] + delay <= steps:
             self._history.popleft()
 
     def capture(self, world: World, steps: int) -> CameraCapture:
@@ -318,9 +324,9 @@ class CameraSensor:
 
     def _compute_clouds(self, image: CameraImage, world: World, count: int) -> list[Cloud]:
         """Compute the first `count` point clouds (n, 3) of `CLOUDS` in the frame of the camera's link (m)."""
-        nominal, link = make_pinhole(self._camera_config), self._camera_config.link
+        link = self._camera.link
         clouds = [
-            deproject(image.depth, image.compute_mask(label), self._config.camera_model, nominal)
+            deproject(image.depth, image.compute_mask(label), self._config.camera_model, self._camera)
             for _, label, _ in CLOUDS[:count]
         ]
         if not self.has_latency or self._scene is None or not link:
@@ -341,24 +347,35 @@ class CameraSensor:
         """Return the image after `steps` physics steps with at least the given content, rendered if not yet known."""
         if self._last is not None and self._last[0] == steps and self._last[1] >= content:
             return self._last[2]
+        camera, noise, _ = drawn = self._draw_camera()
         # Noise at edges needs the whole image.
-        rendered = content if self._noise is None else max(content, _ImageContent.WHOLE)
-        image = self._render(world, color=content == _ImageContent.COLORED, content=rendered)
-        if self._noise is not None:
+        rendered = content if noise is None else max(content, _ImageContent.WHOLE)
+        image = drawn.change_colors(self._render(world, content == _ImageContent.COLORED, rendered, camera))
+        if noise is not None:
             # With a period, the noise is that of the image, not of the observation.
             rng = self._make_rng(image.depth, self._history[0][0] if self._period > 1 else steps, _NOISE_STREAM)
-            image = apply_camera_noise(image, self._noise, rng, self._camera)
+            image = apply_camera_noise(image, noise, rng, camera)
         self._last = (steps, content, image)
         return image
 
-    def _render(self, world: World, color: bool, content: _ImageContent) -> CameraImage:
+    def _draw_camera(self) -> CameraDraw:
+        """Return the camera of the current episode, which depends on the seed, the scene and the camera's name."""
+        if self._drawn is None:
+            self._drawn = CameraDraw(self._camera, self._config.noise, None)
+            if self._randomization is not None and self._scene is not None:
+                name = int.from_bytes(self._camera_config.name.encode(), "big")
+                rng = np.random.default_rng((self._seed, self._scene.info.scene_id, name))
+                self._drawn = self._randomization.draw(self._camera, self._config.noise, rng)
+        return self._drawn
+
+    def _render(self, world: World, color: bool, content: _ImageContent, camera: Pinhole) -> CameraImage:
         if self._scene is None:
             raise ResetNeededError("the episode has not started; call reset() first")
         if self._renderer is None:
             self._renderer = resolve_renderer(self._config.renderer, self._physics)
         earlier = self._history[0][1] if self.has_latency else None
         if self._renderer == BULLET:
-            return world.render_camera(earlier, color, self._camera)
+            return world.render_camera(earlier, color, camera)
         if self._ray_camera is None:
             # Imported here: ray casting needs an extra.
             from handover_marl.simulation.camera.ray_camera import RayCamera
@@ -366,8 +383,8 @@ class CameraSensor:
             self._ray_camera = RayCamera(self._scene.assets, self._physics_config)
         snapshot = earlier or world.read_joint_snapshot()
         if content >= _ImageContent.WHOLE:
-            return self._ray_camera.render(snapshot, color, self._camera)
-        return self._ray_camera.render_targets(snapshot, content == _ImageContent.OBJECTS, self._camera)
+            return self._ray_camera.render(snapshot, color, camera)
+        return self._ray_camera.render_targets(snapshot, content == _ImageContent.OBJECTS, camera)
 
     def _subsample(self, cloud: Cloud, steps: int, stream: int) -> Cloud:
         """Return `N_POINTS` points of a cloud (n, 3): a random subset in image order, or all of them and zeros."""

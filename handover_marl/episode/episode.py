@@ -35,6 +35,7 @@ from handover_marl.geometry.model_files.meshes import check_collision_meshes
 from handover_marl.geometry.panda import PANDA
 from handover_marl.simulation.camera.noise import CameraNoise
 from handover_marl.simulation.camera.optics import HANDOVERSIM_MODEL
+from handover_marl.simulation.camera.randomization import CameraRandomization
 from handover_marl.simulation.engines import check_physics, make_world
 from handover_marl.simulation.world import Contacts, RolloutWorld, World
 
@@ -59,6 +60,8 @@ class SceneConfig:
             original) or pinhole.
         camera_noise: Noise and latency of the cameras: default none, realsense, or in Python a `CameraNoise`.
         cameras: Cameras of the observations, names (wrist, front, over_shoulder) or in Python also `CameraConfig`s.
+        camera_randomization: Random deviations of the cameras from their configuration, in Python a
+            `CameraRandomization`; default none.
         world_config: World and rules; published results exist only for the default.
     """
 
@@ -73,6 +76,7 @@ class SceneConfig:
     camera_model: str = HANDOVERSIM_MODEL
     camera_noise: str | CameraNoise | None = None
     cameras: Iterable[str | CameraConfig] = WRIST_ONLY
+    camera_randomization: CameraRandomization | None = None
     world_config: WorldConfig = OFFICIAL_CONFIG
 
     def __post_init__(self) -> None:
@@ -89,7 +93,9 @@ class SceneConfig:
         Raises:
             UnknownNameError, OptionError: Unknown camera model, noise or camera.
         """
-        return SensorConfig(self.renderer, self.camera_model, self.camera_noise, self.cameras)
+        return SensorConfig(
+            self.renderer, self.camera_model, self.camera_noise, self.cameras, self.camera_randomization
+        )
 
 
 class Episode:

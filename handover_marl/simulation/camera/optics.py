@@ -106,6 +106,12 @@ class Pinhole:
         return np.stack([right, down, np.ones(right.shape)], axis=-1).reshape(-1, 3).astype(np.float32)
 
 
+def to_rows(axes: Float64Array) -> tuple[Vector3, Vector3, Vector3]:
+    """Return a matrix (3, 3) as the tuples of `Pinhole.axes`."""
+    first, second, third = ((float(a), float(b), float(c)) for a, b, c in axes)
+    return first, second, third
+
+
 @functools.lru_cache(maxsize=64)
 def make_pinhole(config: CameraConfig) -> Pinhole:
     """Return the pinhole camera of a configuration."""
@@ -116,7 +122,7 @@ def make_pinhole(config: CameraConfig) -> Pinhole:
     right = np.cross(ahead, config.up)
     right /= np.linalg.norm(right)
     # Zeros without a sign.
-    axes = (np.stack([right, np.cross(ahead, right), ahead], axis=1) + 0.0).tolist()
+    axes = to_rows(np.stack([right, np.cross(ahead, right), ahead], axis=1) + 0.0)
     return Pinhole(
         width=config.width,
         height=config.height,
@@ -126,7 +132,7 @@ def make_pinhole(config: CameraConfig) -> Pinhole:
         far=config.far,
         link=config.link,
         position=config.position,
-        axes=(tuple(axes[0]), tuple(axes[1]), tuple(axes[2])),
+        axes=axes,
     )
 
 

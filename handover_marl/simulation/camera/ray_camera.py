@@ -158,7 +158,7 @@ class Framebuffer:
                 else:
                     brightness = _compute_brightness(normals.take(faces, axis=0) @ turn)
                 packed[pixels] = _shade(link.body.surfaces[link.number].sample(faces, weights), brightness)
-        return colors[:, :3].copy()
+        return np.ascontiguousarray(colors[:, :3])
 
 
 def _bound_boxes(camera: Pinhole, corners: Array) -> Rectangles:
@@ -182,8 +182,8 @@ def _bound_boxes(camera: Pinhole, corners: Array) -> Rectangles:
     first = np.ceil(np.where(is_ahead, places, np.inf).min(axis=1) - _MARGIN)
     after = np.floor(np.where(is_ahead, places, -np.inf).max(axis=1) + _MARGIN) + 1.0
     after *= (corners[..., 2].min(axis=1) < camera.far)[:, None]
-    bounds = np.clip([first, after], 0, (camera.width, camera.height)).astype(np.int64)
-    return bounds.transpose(1, 2, 0)
+    bounds: Rectangles = np.clip([first, after], 0, (camera.width, camera.height)).astype(np.int64)
+    return np.asarray(bounds.transpose(1, 2, 0))
 
 
 def _compute_brightness(normals: npt.NDArray[np.floating]) -> Float64Array:
