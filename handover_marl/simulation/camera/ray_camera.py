@@ -4,7 +4,6 @@ Rays are cast only through the pixels of a rectangle around each link. If only o
 bodies are tested only against rays that hit the object or the hand.
 """
 
-import itertools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -41,6 +40,7 @@ _EDGES = np.array([(one, one | bit) for bit in (1, 2, 4) for one in range(8) if 
 _MARGIN = 0.01
 # Numbers of no link.
 _GROUND, _BACKGROUND = -1, -2
+_GROUND_COLORS = np.array(GROUND, dtype=np.uint8)
 
 
 class PosedLink(NamedTuple):
@@ -142,22 +142,31 @@ class Framebuffer:
         packed = colors.view(np.uint32)[:, 0]
         order = np.argsort(self._owner, kind="stable")
         ends = np.searchsorted(self._owner[order], np.arange(_BACKGROUND, len(links)), side="right").tolist()
-        groups = [order[first:end] for first, end in itertools.pairwise([0, *ends])]
-        colors[groups[0], :3] = SKY
-        ground = groups[1]
+        colors[order[: ends[0]], :3] = SKY
+        ground = order[ends[0] : ends[1]]
         x, y, _ = (self._camera.rays.take(ground, axis=0) @ self._rotation.T).T * self._depth[ground]
         squares = (np.floor(x + self._position[0]) + np.floor(y + self._position[1])).astype(np.int64) & 1
-        packed[ground] = _shade(np.array(GROUND)[squares], _compute_brightness(np.array([[0.0, 0.0, 1.0]])))
-        for link, pixels in zip(links, groups[2:], strict=True):
-            if len(pixels):
+        # Normals in the world, the number of each pixel's, and colours before shading, first of the ground.
+        normals, numbers, found = (
+            [np.array([[0.0, 0.0, 1.0]])],
+            [np.zeros(len(ground), np.int64)],
+            [_GROUND_COLORS[squares]],
+        )
+        count = 1
+        for link, first, end in zip(links, ends[1:-1], ends[2:], strict=True):
+            if first < end:
+                pixels = order[first:end]
                 faces, weights = self._face[pixels], self._weights[pixels].view(np.float32).reshape(-1, 2)
-                normals, turn = link.body.meshes[link.number].normals, (self._rotation @ link.frame[0]).T
+                own = link.body.meshes[link.number].normals
                 # Once for each face, or for each pixel if those are fewer.
-                if len(normals) < len(faces):
-                    brightness = _compute_brightness(normals @ turn)[faces]
-                else:
-                    brightness = _compute_brightness(normals.take(faces, axis=0) @ turn)
-                packed[pixels] = _shade(link.body.surfaces[link.number].sample(faces, weights), brightness)
+                is_shared = len(own) < len(faces)
+                rows = own if is_shared else own.take(faces, axis=0)
+                normals.append(rows @ (self._rotation @ link.frame[0]).T)
+                numbers.append(count + (faces if is_shared else np.arange(len(rows))))
+                found.append(link.body.surfaces[link.number].sample(faces, weights))
+                count += len(rows)
+        brightness = _compute_brightness(np.concatenate(normals)).take(np.concatenate(numbers))
+        packed[order[ends[0] :]] = _shade(np.concatenate(found), brightness)
         return np.ascontiguousarray(colors[:, :3])
 
 
