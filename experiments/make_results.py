@@ -298,7 +298,7 @@ def make_table(evaluations: Iterable[Evaluation], receivers: tuple[str, ...], da
         inputs.setdefault(INPUTS[receiver][0], []).append(f"`{receiver}`")
     listed = "; ".join(f"{', '.join(names)}: {words}" for words, names in inputs.items())
     note = " Published rows: all objects, MANO hands." if methods else ""
-    return f"{table}\n\nTest splits, {chosen[0].conditions}.{note} Input of {listed}."
+    return f"{table}\n\n*Test splits, {chosen[0].conditions}.{note} Input of {listed}.*"
 
 
 def make_summary(evaluations: Iterable[Evaluation], setup: str) -> str:
@@ -311,7 +311,7 @@ def make_summary(evaluations: Iterable[Evaluation], setup: str) -> str:
         failures = f"{one.contact}, {one.drop}, {one.timeout}"
         start = [cells[title] for title in header[:3]]
         rows.append([*start, failures, cells["AS %"], one.version, INPUTS[one.name][0]])
-    caption = f"{setup} test, {chosen[0].episodes} episodes a row, {chosen[0].conditions}; 95 % intervals."
+    caption = f"*{setup} test, {chosen[0].episodes} episodes a row, {chosen[0].conditions}; 95 % intervals.*"
     return f"{format_table(header, rows)}\n\n{caption}"
 
 
@@ -347,7 +347,7 @@ def make_difference_table(
     if not rows:
         return NO_DIFFERENCES
     header = ["A (wait)", "B (wait)", "setup", "n episodes", *(f"{name}, points" for name in (*OUTCOMES, "AS"))]
-    text = f"Differences A minus B, paired by scene, with 95 % intervals: test splits, {chosen[0].conditions}."
+    text = f"*Differences A minus B, paired by scene, with 95 % intervals: test splits, {chosen[0].conditions}.*"
     return "\n".join([format_table(header, rows), "", text, "", "```bash", *commands, "```"])
 
 
@@ -357,7 +357,7 @@ def format_success(evaluations: Iterable[Evaluation], receiver: str, setup: str,
     (one,) = [one for one in chosen if (one.receiver, one.setup, one.wait_s) == (receiver, setup, wait_s)]
     low, high = compute_wilson_interval(one.success, one.episodes)
     rate = f"{100 * one.success / one.episodes:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
-    return f"{rate} of {one.episodes} episodes (version {one.version})"
+    return f"{rate} of {one.episodes} episodes with version {one.version}"
 
 
 def make_failure_list(evaluations: Iterable[Evaluation], receiver: str) -> str:

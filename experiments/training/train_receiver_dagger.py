@@ -5,15 +5,15 @@ r"""Train a receiver to imitate another one by DAgger (Ross, Gordon and Bagnell,
     python experiments/training/train_receiver_dagger.py --data-dir DIR --expert learned:runs/servo.npz \
         --out runs/dagger
 
-In each round, the scenes of the training split are played once. In the first round the expert acts, with random
-disturbances. In later rounds, the network acts first; the expert takes over at a random time, or when the network
-closes the gripper, and shows how to go on from there. Decisions of the expert are recorded. The network is trained anew
-after each round. It maps features to the outputs of an action scheme, such as motions of the gripper, without a script.
-The folder gets `policy.npz` (`--receiver learned:runs/dagger/policy.npz`), from which `train_receiver_ppo.py --initial`
-starts; `--resume` continues a run.
+In each round, batches of episodes are simulated together. In the first round the expert acts, with random disturbances.
+In later rounds, the network acts first; the expert takes over at a random time, or when the network closes the gripper,
+and shows how to go on from there. Decisions of the expert are recorded. The network is trained anew after each round. It
+maps features to the outputs of an action scheme, such as motions of the gripper, without a script. The folder gets
+`policy.npz` (`--receiver learned:runs/dagger/policy.npz`), from which `train_receiver_ppo.py --initial` starts;
+`--resume` continues a run.
 """
 
-from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -23,23 +23,28 @@ import torch
 from torch import nn
 
 import handover_marl
-from handover_marl.envs.config import EnvConfig
+from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP
+from handover_marl.envs.vector.policy_batches import make_policy_batch
+from handover_marl.episode.observations import Observation
+from handover_marl.execution.files import write_arrays
+from handover_marl.learning.action_scheme import InvertibleScheme
 from handover_marl.learning.adapters.modules import dense_network_from_layers
-from handover_marl.learning.features import make_features
-from handover_marl.learning.imitation.samples import generate_samples, join_samples
+from handover_marl.learning.features import make_array_features
+from handover_marl.learning.grasp_selector import LowestCostGraspSelector
+from handover_marl.learning.imitation.samples import join_samples, read_samples
 from handover_marl.learning.policy_files import read_policy, write_policy
 from handover_marl.learning.policy_spec import DenseNetwork, InputNormalization, PolicySpec
-from handover_marl.learning.schemes import make_scheme, outputs_from_action
+from handover_marl.learning.schemes import make_array_scheme
 from handover_marl.learning.training.run_folder import (
     POLICY,
     describe_origin,
     make_mlp,
     open_run_folder,
     print_validation,
-    select_training_scenes,
+    spawn_seeds,
 )
 from handover_marl.learning.training.scene_arguments import SetupArgs, run_script
-from handover_marl.policies.policy import Policy
+from handover_marl.policies.policy import make_policy_context
 from handover_marl.policies.reference import parse_policy
 
 
@@ -55,7 +60,10 @@ class Args(SetupArgs):
         giver: Giver of all episodes. With `replay` alone, networks learn the scenes by heart.
         features: Features of the receiver, inputs of the network.
         actions: Action scheme that decodes the network's outputs; it must be invertible.
-        rounds: Number of rounds; each plays every training scene once.
+        rounds: Number of rounds.
+        batches: Number of batches of episodes in a round.
+        num_envs: Number of environments in a batch.
+        seconds: Time that each environment of a batch is simulated (s).
         disturbance: Standard deviation of the disturbances of the outputs that move the arm.
         disturbed_share: Share of the decisions that are disturbed.
         latest_takeover: Largest time at which the expert takes over (s).
@@ -68,7 +76,7 @@ class Args(SetupArgs):
         weight_decay: Weight decay of AdamW.
         val_scenes: Number of validation scenes in the evaluation after each round, evenly chosen; 0 skips it.
         val_physics: Physics of the evaluations: fast, exact or mujoco.
-        workers: Number of processes, on which the results do not depend; default: one per core.
+        workers: Number of processes, on which the results do not depend.
         resume: Whether to continue the run in the folder `out`.
     """
 
@@ -78,7 +86,10 @@ class Args(SetupArgs):
     giver: str = "displaced"
     features: str = "grasp_velocity"
     actions: str = "cartesian_delta"
-    rounds: int = 6
+    rounds: int = 8
+    batches: int = 8
+    num_envs: int = 64
+    seconds: float = 20.0
     disturbance: float = 0.3
     disturbed_share: float = 0.1
     latest_takeover: float = 6.0
@@ -90,7 +101,7 @@ class Args(SetupArgs):
     weight_decay: float = 0.01
     val_scenes: int = 36
     val_physics: str = "mujoco"
-    workers: int | None = None
+    workers: int = 2
     resume: bool = False
 
 
@@ -100,81 +111,117 @@ class Decisions(NamedTuple):
     Attributes:
         features: Features (n, k) of the observations.
         outputs: Outputs (n, m) of the action scheme that are decoded to the expert's actions.
+        is_change: Whether the expert opens or closes the gripper, (n,).
     """
 
     features: np.ndarray
     outputs: np.ndarray
+    is_change: np.ndarray
 
 
-def make_expert(args: Args) -> Policy:
-    """Make the receiver to imitate, which has the robot and the grasps of the training's dataset."""
-    return parse_policy("receiver", args.expert).make(args.open_dataset(), setup=args.setup)
-
-
-def make_player(args: Args, number: int, student: DenseNetwork | None) -> Callable[[int], Decisions]:
-    """Return a function that plays the scene with a number and returns the expert's decisions.
+class Collector:
+    """Collector of the expert's decisions from a batch of environments.
 
     Args:
         args: Arguments of the training.
-        number: Number of the round.
-        student: Network that acts until the expert takes over; None: the expert always acts.
     """
-    expert = make_expert(args)
-    config = EnvConfig(
-        setup=args.setup,
-        split="train",
-        data_dir=args.data_dir,
-        dataset=args.dataset,
-        physics="mujoco",
-        control_period=expert.hold_time,
-    )
-    env = handover_marl.freeze(handover_marl.parallel_env(config), "receiver", args.giver)
-    context = env.unwrapped.policy_context
-    features = make_features("receiver", args.features, context)
-    scheme = make_scheme("receiver", args.actions, context)
 
-    def play(scene: int) -> Decisions:
-        rng, inputs, targets = np.random.default_rng((args.seed, number, scene)), [], []
-        takeover = 0.0 if student is None else rng.uniform(0.0, args.latest_takeover)
-        observations, _ = env.reset(seed=int(rng.integers(2**31)), options={"scene_id": scene})
-        features.reset()
-        scheme.reset()
-        expert.reset(int(rng.integers(2**31)))
-        is_student = student is not None
-        while env.agents:
-            observation = observations["receiver"]
-            vector = features(observation)
-            if student is not None and is_student:
-                outputs = student(vector)
-                is_student = outputs[-1] <= 0.0 and observation["time"][0] < takeover
-            if not is_student:
-                outputs = outputs_from_action(scheme, expert.act(observation), observation)
-                inputs.append(vector)
-                targets.append(outputs)
-            if rng.random() < args.disturbed_share:
-                noise = args.disturbance * rng.standard_normal(scheme.size - 1)
-                outputs = outputs + np.append(noise, 0.0)  # the gripper is not disturbed
-            scheme.set_outputs(outputs)
-            observations = env.step({"receiver": scheme.compute_action(observation)})[0]
-        return Decisions(
-            np.array(inputs, np.float32).reshape(-1, features.size),
-            np.array(targets, np.float32).reshape(-1, scheme.size),
+    def __init__(self, args: Args) -> None:
+        self._args, self._has_student = args, False
+        count, dataset, self._rows = args.num_envs, args.open_dataset(), np.arange(args.num_envs)
+        reference = parse_policy("receiver", args.expert)
+        self._period = reference.make(dataset, setup=args.setup).hold_time
+        self._envs = handover_marl.vector_env(
+            count,
+            "receiver",
+            args.giver,
+            autoreset="same_step",
+            processes=1,
+            setup=args.setup,
+            split="train",
+            dataset=args.dataset,
+            data_dir=args.data_dir,
+            control_period=self._period,
         )
+        context = self._context = make_policy_context(dataset, setup=args.setup)
+        selector = LowestCostGraspSelector(context, count)
+        self._features = make_array_features("receiver", args.features, context, selector, count)
+        scheme = make_array_scheme("receiver", args.actions, context, selector, count)
+        if not isinstance(scheme, InvertibleScheme):
+            raise handover_marl.OptionError(f"actions must be an invertible action scheme, got {args.actions!r}")
+        self._scheme = scheme
+        self._expert = make_policy_batch(reference, dataset, OFFICIAL_CONFIG, args.setup, count)
+        self._is_student, self._is_closed = np.zeros(count, bool), np.zeros(count, bool)
+        self._takeovers = np.zeros(count)
 
-    return play
+    def collect(self, number: int, batch: int, student: DenseNetwork | None) -> Decisions:
+        """Simulate a batch of a round, and return the expert's decisions.
+
+        Args:
+            number: Number of the round.
+            batch: Number of the batch.
+            student: Network that acts until the expert takes over; None: the expert always acts.
+        """
+        args, parts = self._args, []
+        self._has_student, rng = student is not None, np.random.default_rng((args.seed, number, batch))
+        seeds = spawn_seeds(args.num_envs, args.seed, number, batch)
+        observation, _ = self._envs.reset(seed=seeds)
+        for row in self._rows:
+            self._start(row, observation, rng)
+        for _ in range(round(args.seconds / self._period)):
+            vectors = self._features(self._rows, observation)
+            outputs = np.zeros((args.num_envs, self._scheme.size), np.float32)
+            if student is not None:
+                outputs[:] = student(vectors)
+                self._is_student &= (outputs[:, -1] <= 0.0) & (observation["time"][:, 0] < self._takeovers)
+            rows = np.flatnonzero(~self._is_student)
+            if len(rows):
+                outputs[rows], is_change = self._ask_expert(rows, observation)
+                parts.append(Decisions(vectors[rows], outputs[rows], is_change))
+            noise = args.disturbance * rng.standard_normal(outputs.shape)
+            noise *= rng.random((args.num_envs, 1)) < args.disturbed_share
+            noise[:, -1] = 0.0  # the gripper is not disturbed
+            self._scheme.set_outputs(self._rows, outputs + noise)
+            actions = self._scheme.compute_actions(self._rows, observation)
+            observation, _, terminated, truncated, _ = self._envs.step(actions)
+            for row in np.flatnonzero(terminated | truncated):
+                self._start(row, observation, rng)
+        return join_samples(parts)
+
+    def _start(self, row: int, observation: Observation, rng: np.random.Generator) -> None:
+        """Start the episode of environment `row`, of which `observation` (n, ...) has the first observation."""
+        self._features.reset(row)
+        self._scheme.reset(row)
+        name = self._context.object_names[int(observation["object_classes"][row, 0])]
+        self._expert.reset(row, int(rng.integers(2**31)), [name])
+        self._is_student[row], self._is_closed[row] = self._has_student, False
+        self._takeovers[row] = rng.uniform(0.0, self._args.latest_takeover)
+
+    def _ask_expert(self, rows: np.ndarray, observation: Observation) -> tuple[np.ndarray, np.ndarray]:
+        """Return the outputs (r, m) for the expert's actions in some environments, and whether the gripper changes."""
+        steps = np.rint(observation["time"][rows, 0].astype(float) / TIME_STEP).astype(int)
+
+        def observe(some: np.ndarray) -> Observation:
+            return {key: values[some] for key, values in observation.items()}
+
+        actions, _ = self._expert.act(rows, observe, steps)
+        outputs = self._scheme.outputs_from_actions(actions, observe(rows))
+        is_closed = outputs[:, -1] > 0.0
+        is_change = is_closed != self._is_closed[rows]
+        self._is_closed[rows] = is_closed
+        return outputs, is_change
 
 
 def fit(decisions: Decisions, args: Args) -> DenseNetwork:
     """Train a new network from features to the expert's outputs."""
     torch.manual_seed(args.seed)
-    inputs, targets = map(torch.as_tensor, decisions)
+    inputs, targets = torch.as_tensor(decisions.features), torch.as_tensor(decisions.outputs)
     mean, scale = inputs.mean(0), inputs.std(0).clamp(min=0.05)
     inputs = ((inputs - mean) / scale).clamp(-5.0, 5.0)
     network = make_mlp(inputs.shape[1], targets.shape[1], args.width)
     optimizer = torch.optim.AdamW(network.parameters(), args.learning_rate, weight_decay=args.weight_decay)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, args.updates)
-    closes = targets[:, -1] > 0.0
-    weights = 1.0 + (args.change_weight - 1.0) * (closes != closes.roll(1)).double()
+    weights = 1.0 + (args.change_weight - 1.0) * torch.as_tensor(decisions.is_change).double()
     for _ in range(args.updates):
         rows = torch.multinomial(weights, args.batch_size, replacement=True)
         loss = nn.functional.smooth_l1_loss(network(inputs[rows]), targets[rows], beta=0.2)
@@ -188,21 +235,37 @@ def fit(decisions: Decisions, args: Args) -> DenseNetwork:
     return replace(dense_network_from_layers(network, "tanh"), normalization=normalization)
 
 
+def collect_round(collectors: list[Collector], number: int, student: DenseNetwork | None, args: Args) -> Decisions:
+    """Return the decisions of a round, whose batches are divided among the collectors."""
+
+    def collect(first: int) -> list[Decisions]:
+        batches = range(first, args.batches, len(collectors))
+        return [collectors[first].collect(number, batch, student) for batch in batches]
+
+    with ThreadPoolExecutor(len(collectors)) as pool:
+        found = list(pool.map(collect, range(len(collectors))))
+    return join_samples([found[batch % len(found)][batch // len(found)] for batch in range(args.batches)])
+
+
 def main(args: Args) -> Path:
     args = args.resolve_setup()
     dataset = args.open_dataset()
     folder = open_run_folder(args.out, args, args.resume, dataset.name, ("rounds", "workers"))
-    scenes = select_training_scenes(dataset.list_scenes(args.setup, "train"))
+    expert = parse_policy("receiver", args.expert).make(dataset, setup=args.setup)
     origin = describe_origin("train_receiver_dagger", args)
-    spec = PolicySpec("receiver", args.features, args.actions, make_expert(args).hold_time, origin)
-    parts: list[Decisions] = []
+    spec = PolicySpec("receiver", args.features, args.actions, expert.hold_time, origin)
+    torch.set_num_threads(1)  # The networks are small, and the other cores simulate.
+    collectors = [Collector(args) for _ in range(args.workers)]
+    rounds: list[Decisions] = []
     student = None
     for number in range(args.rounds):
-        title, make = f"round {number}", lambda n=number, s=student: make_player(args, n, s)
-        parts += generate_samples(Decisions, folder / f"round_{number}", scenes, make, title, args.workers)
+        path = folder / f"decisions_{number}.npz"
+        if not path.exists():
+            write_arrays(path, collect_round(collectors, number, student, args)._asdict())
+        rounds.append(read_samples(Decisions, path))
         policy = folder / f"policy_{number}.npz"
         if not policy.exists():
-            write_policy(policy, spec, fit(join_samples(parts), args))
+            write_policy(policy, spec, fit(join_samples(rounds), args))
         student = read_policy(policy, "receiver")[1]
         write_policy(folder / POLICY, spec, student)
         label = f"{number + 1} rounds, giver {args.giver}"

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from handover_marl.errors import SimulationError
-from handover_marl.geometry.arrays import AnyArray, as_arrays, is_tensor
+from handover_marl.geometry.arrays import AnyArray, as_arrays, get_namespace, is_tensor
 from handover_marl.geometry.kinematic_tree import REVOLUTE, KinematicTree
 from handover_marl.geometry.panda import FINGER_LINKS, HAND_LINK, OPEN, SHOULDER_HEIGHT
 from handover_marl.geometry.poses import transform_points
@@ -110,13 +110,14 @@ class ArmKinematics:
         columns = np.concatenate([np.cross(axes, levers, axis=1), axes], axis=1)
         return np.asarray(columns.transpose(1, 0, 2))
 
-    def compute_hand_jacobians(self, joints: AnyArray) -> tuple[AnyArray, AnyArray]:
-        """Compute base-frame Jacobians and rotations of the hand link at arm joints (n, 7) in rad.
+    def compute_hand_jacobians(self, joints: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
+        """Compute base-frame Jacobians, positions and rotations of the hand link at arm joints (n, 7) in rad.
 
         The result of a configuration does not depend on the other configurations, to the last bit.
 
         Returns:
-            Jacobians (n, 6, 7): linear rows (m/rad), then angular; and rotations (n, 3, 3) from hand to base frame.
+            Jacobians (n, 6, 7): linear rows (m/rad), then angular; positions (n, 3) in m; and rotations (n, 3, 3) from
+            hand to base frame.
         """
         xp, angles, identity = as_arrays(joints, np.eye(3)[..., None])
         origin, rotation = xp.zeros_like(angles.T[:3]), xp.broadcast_to(identity, (3, 3, len(angles)))
@@ -135,7 +136,7 @@ class ArmKinematics:
         columns = xp.stack([_combine(column, rotation) for column in turn.T])
         jacobians, rotations = xp.permute_dims(rows, (2, 0, 1)), xp.permute_dims(columns, (2, 1, 0))
         # NumPy's rounding of sums depends on the order in memory.
-        return jacobians if is_tensor(jacobians) else np.ascontiguousarray(jacobians), rotations
+        return jacobians if is_tensor(jacobians) else np.ascontiguousarray(jacobians), hand.T, rotations
 
 
 class IndependentArmKinematics(ArmKinematics):
@@ -161,6 +162,21 @@ class IndependentArmKinematics(ArmKinematics):
             # One product for each configuration: its rounding does not depend on their number.
             frames[:, link] = frames[:, link - 1] @ frames[:, link]
         return LinkFrames(frames[..., :3, 3].transpose(1, 2, 0), frames[..., :3, :3].transpose(1, 2, 3, 0))
+
+
+def solve_damped(jacobians: AnyArray, twists: AnyArray, damping: float | AnyArray) -> AnyArray:
+    """Return joint increments (n, 7) in rad for twists (n, 6) of the hand link, by damped least squares.
+
+    Args:
+        jacobians: Jacobians (n, 6, 7) of `ArmKinematics.compute_hand_jacobians`.
+        twists: Translations (m) and rotation vectors (rad) in the base frame.
+        damping: Damping factor; a larger one limits motions near singular configurations more.
+    """
+    xp, jacobian = get_namespace(jacobians), jacobians
+    gram = xp.stack([xp.sum(jacobian * jacobian[:, row, None], axis=2) for row in range(6)], axis=1)
+    identity = as_arrays(jacobians, np.eye(6))[2]
+    weights = xp.linalg.solve(gram + damping**2 * identity, twists[..., None])
+    return xp.sum(jacobian * weights, axis=1)
 
 
 def _combine(weights: Array, vectors: AnyArray) -> AnyArray:

@@ -1,4 +1,4 @@
-"""Selection of the known grasp of lowest cost: near the gripper and clear of the person's hand.
+"""Selection of a grasp in each of many episodes: near, clear of the person's hand, within reach, and firm.
 
 Poses are poses of the Panda's hand link: position (m) and quaternion xyzw.
 """
@@ -8,33 +8,54 @@ import functools
 import numpy as np
 import numpy.typing as npt
 
+from handover_marl.config import ARM_DOF
 from handover_marl.episode.observations import Observation
-from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, get_namespace, is_tensor
-from handover_marl.geometry.panda import HALF_TURN
+from handover_marl.geometry.arm import ArmKinematics, solve_damped
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, get_namespace, is_tensor, widen
+from handover_marl.geometry.kinematic_tree import read_tree
+from handover_marl.geometry.panda import HALF_TURN, LOWER_LIMITS, UPPER_LIMITS
 from handover_marl.geometry.poses import compose, inverse_transform_points, invert_pose
-from handover_marl.geometry.rotations import rotate_points
+from handover_marl.geometry.rotations import (
+    conjugate_quaternions,
+    multiply_quaternions,
+    normalize_quaternions,
+    quaternions_from_matrices,
+    rotation_vectors_from_quaternions,
+)
+from handover_marl.geometry.vectors import compute_lengths
+from handover_marl.planning.robot_clearance import CLOSING_BOX, GRIPPER_BOX_CENTERS, GRIPPER_BOX_HALF_SIZES
 from handover_marl.policies.policy import PolicyContext
-from handover_marl.receivers.grasp_library import GraspTable, load_hand_poses
+from handover_marl.receivers.grasp_library import GraspTable
+from handover_marl.receivers.reactive.config import ReactiveConfig
+from handover_marl.receivers.reactive.grasp_contact import compute_hold_costs, load_graspable_object
 
 Array = npt.NDArray[np.float64]
 
 #: Largest clearance that is computed: larger ones are set to this (m).
 MAX_CLEARANCE = 0.2
 
-#: Extent of the gripper along the hand link's z axis, from behind its palm to the fingertips (m).
-BACK_Z, TIP_Z = -0.05, 0.11
+# Radius of a finger around its joints (m), and length of the straight approach that must be clear (m).
+_FINGER_RADIUS, _APPROACH = 0.012, 0.08
+# Boxes of the gripper in the hand link's frame: the hand body on its approach, and the volume between open fingers.
+_SHIFT = np.array([0.0, 0.0, 0.5 * _APPROACH])
+_BOXES = ((GRIPPER_BOX_CENTERS[0] - _SHIFT, GRIPPER_BOX_HALF_SIZES[0] + _SHIFT), CLOSING_BOX)
 
-# Number of grasps per episode whose clearance is computed first: those of lowest cost without it.
-_FIRST_CANDIDATES = 24
+# Numbers of grasps per episode whose clearance, and then whose reach, is computed: those of lowest cost so far.
+_N_CLEARANCES, _N_REACHES = 96, 12
+# Iterations of inverse kinematics, its damping, and the largest translation (m) and rotation (rad) of one.
+_N_ITERATIONS, _DAMPING, _MAX_TRANSLATION, _MAX_ROTATION = 10, 0.05, 0.3, 1.2
+# Amount by which joint limits are narrowed (rad), and weight of a rotation that remains (m/rad).
+_LIMIT_PADDING, _ERROR_ROTATION_WEIGHT = 0.03, 0.1
 
 
 class LowestCostGraspSelector:
-    """Selector of the known grasp of lowest cost, for each of n episodes.
+    """Selector of the grasp of lowest cost, for each of n episodes.
 
-    The cost of a grasp (m) is the distance from the gripper's present position to the grasp, plus the weighted angle
-    between both orientations, plus the weighted missing clearance to the person's hand. Inverse kinematics
-    is not solved, so the grasp may be out of reach. Grasps rotated by half a turn about their z axis are candidates
-    too. Selections are kept until the observation changes, since features and action schemes query the same ones.
+    Candidates are the validated grasps of the receiver `reactive`, tilted copies and half turns. The cost of a grasp
+    (m) is the sum of: the distance of the gripper from it; the weighted angle between their orientations; the weighted
+    cost of a grasp that may not hold; the weighted missing clearance to the person's hand, which is larger if the
+    gripper would touch the hand; and the weighted distance of the nearest pose that the arm can reach. Selections are
+    kept until the observation changes, since features and action schemes query the same ones.
 
     Args:
         context: Context of a policy, with the objects and their grasps.
@@ -43,20 +64,32 @@ class LowestCostGraspSelector:
 
     Attributes:
         rotation_weight: Weight of the gripper's rotation in the cost (m/rad).
-        desired_clearance: Desired distance of the joints of the person's hand from the gripper's axis (m).
+        hold_weight: Weight of the cost of a grasp that may not hold, which is in seconds (m/s).
+        desired_clearance: Desired distance of the person's fingers from the gripper on its approach (m).
         clearance_weight: Weight of the amount by which the clearance is below the desired one.
+        min_clearance: Clearance below which a grasp has the additional cost `contact_cost` (m).
+        reach_weight: Weight of the distance of the nearest pose that the arm can reach.
+        reach_tolerance: Distance above which a grasp has the additional cost `unreachable_cost` (m).
     """
 
-    rotation_weight = 0.25
-    desired_clearance, clearance_weight = 0.09, 4.0
+    rotation_weight, hold_weight = 0.25, 0.1
+    desired_clearance, clearance_weight = 0.03, 10.0
+    min_clearance, contact_cost = 0.003, 5.0
+    reach_weight, reach_tolerance, unreachable_cost = 3.0, 0.01, 0.3
 
     def __init__(self, context: PolicyContext, count: int, arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
         self._count, self._arrays = count, arrays
         self._inputs: AnyArray | None = None
         self._selected, self._clearances = arrays.zeros((count, 7)), arrays.zeros(count)
         self._exists = arrays.zeros(count, "bool")
-        # Grasps (c, g, 7) and their z axes (c, g, 3).
-        self._table = GraspTable(functools.partial(load_known_grasps, context), arrays)
+        # Grasps (c, g, 7) and their costs (c, g) in seconds.
+        self._table = GraspTable(functools.partial(_load_grasps, context), arrays)
+        base = np.array([*context.panda.base_position, *context.panda.base_orientation])
+        self._base_from_world = arrays.asarray(invert_pose(base))
+        self._arm = ArmKinematics(read_tree(context.panda_urdf))
+        self._boxes = [(arrays.asarray(center), arrays.asarray(half)) for center, half in _BOXES]
+        self._low = arrays.asarray(np.array(LOWER_LIMITS[:ARM_DOF]) + _LIMIT_PADDING)
+        self._high = arrays.asarray(np.array(UPPER_LIMITS[:ARM_DOF]) - _LIMIT_PADDING)
 
     def select(self, rows: AnyArray, observation: Observation) -> tuple[AnyArray, AnyArray, AnyArray]:
         """Select a grasp of the object to hand over in each of r episodes.
@@ -67,13 +100,14 @@ class LowestCostGraspSelector:
 
         Returns:
             World poses (r, 7) of the hand link at the grasps; distances (r,) in m of the person's hand from the
-            gripper there, at most `MAX_CLEARANCE`; and whether a grasp of the object is known, (r,). Without a
-            known grasp the other values have no meaning.
+            gripper there and on its straight approach, at most `MAX_CLEARANCE`; and whether a grasp of the object is
+            known, (r,). Without a known grasp the other values have no meaning.
         """
         xp = self._arrays.xp
         inputs = xp.concat(
             [
                 observation["gripper_pose"],
+                observation["robot_joint_position"][:, :ARM_DOF],
                 observation["object_poses"][:, 0],
                 observation["object_classes"][:, :1],
                 observation["hand_present"],
@@ -98,53 +132,72 @@ class LowestCostGraspSelector:
         known = xp.nonzero(index >= 0)[0]
         if not len(known):
             return
-        object_poses = xp.astype(observation["object_poses"][known, 0], xp.float64)
-        gripper = compose(invert_pose(object_poses), xp.astype(observation["gripper_pose"][known], xp.float64))
-        index = index[known]
-        grasps = self._table.arrays[0][index]
-        costs = compute_motion_costs(grasps, gripper, self.rotation_weight)
-        costs[~self._table.is_grasp[index]] = xp.inf
-        joints = inverse_transform_points(object_poses[:, None], observation["hand_keypoints"][known])
-        present = observation["hand_present"][known, 0] != 0.0
-        best, clearances = self._find_best(costs, index, joints, present)
-        self._selected[rows[known]] = compose(object_poses, grasps[self._arrays.arange(len(known)), best])
+        observation = {key: widen(values[known]) for key, values in observation.items()}
+        objects = observation["object_poses"][:, 0]
+        poses, clearances = self._find_best(index[known], objects, observation)
+        self._selected[rows[known]] = compose(objects, poses)
         self._clearances[rows[known]] = clearances
 
-    def _find_best(
-        self, costs: AnyArray, index: AnyArray, joints: AnyArray, present: AnyArray
-    ) -> tuple[AnyArray, AnyArray]:
-        """Return the index (r,) of the best grasp in each episode, and the clearance (r,) of the hand there (m).
+    def _find_best(self, index: AnyArray, objects: AnyArray, observation: Observation) -> tuple[AnyArray, AnyArray]:
+        """Return the best grasps (r, 7) in the objects' frames, and the clearances (r,) of the persons' hands there.
 
-        Clearances are computed for the grasps of lowest cost first. The others are not needed if the
-        best of these costs less than any other grasp without its clearance.
+        Clearances are computed for the grasps of lowest cost, and the reach for those of lowest cost then.
 
         Args:
-            costs: Costs (r, g) of g grasps without the clearance.
             index: Index (r,) of each object class in the table of grasps.
-            joints: Joints (r, 16, 3) of the persons' hands in the objects' frames (m).
-            present: Whether there is a person's hand, (r,).
+            objects: World poses (r, 7) of the objects.
+            observation: Arrays (r, ...) of observations, float64.
         """
-        xp, arrays, (count, number) = self._arrays.xp, self._arrays, costs.shape
-        best, clearances = arrays.zeros(count, "int64"), arrays.zeros(count)
-        left, candidates = arrays.arange(count), min(_FIRST_CANDIDATES, number)
-        while len(left):
-            order = _sort_by_cost(costs[left], min(candidates, number - 1))
-            bound = xp.inf if candidates >= number else costs[left, order[:, candidates]]
-            # Of equally good grasps, the first one counts.
-            some = xp.sort(order[:, :candidates], axis=1, stable=False)
-            origins, axes = (array[index[left, None], some] for array in self._table.arrays)
-            distances = compute_clearances(origins, axes, joints[left])
-            distances[~present[left]] = MAX_CLEARANCE
-            missing = (self.desired_clearance - distances).clip(0.0)
-            totals = costs[left[:, None], some] + self.clearance_weight * missing
-            chosen = xp.argmin(totals, axis=1)
-            place = arrays.arange(len(left))
-            best[left], clearances[left] = some[place, chosen], distances[place, chosen]
-            left = left[~(totals[place, chosen] < bound)]
-            if candidates >= number:
+        xp, (poses, hold_costs) = self._arrays.xp, (array[index] for array in self._table.arrays)
+        gripper = compose(invert_pose(objects), observation["gripper_pose"])
+        costs = compute_motion_costs(poses, gripper, self.rotation_weight) + self.hold_weight * hold_costs
+        costs[~self._table.is_grasp[index]] = xp.inf
+        poses, costs = _take_lowest(_N_CLEARANCES, costs, poses)
+        joints = inverse_transform_points(objects[:, None], observation["hand_keypoints"])
+        clearances = self._compute_clearances(poses, joints)
+        clearances[observation["hand_present"][:, 0] == 0.0] = MAX_CLEARANCE
+        costs = costs + self.clearance_weight * (self.desired_clearance - clearances).clip(0.0)
+        costs = costs + self.contact_cost * widen(clearances < self.min_clearance)
+        poses, clearances, costs = _take_lowest(_N_REACHES, costs, poses, clearances)
+        distances = self._compute_reach_distances(compose(objects[:, None], poses), observation["robot_joint_position"])
+        costs = costs + self.reach_weight * distances.clip(None, 0.3)
+        costs = costs + self.unreachable_cost * widen(distances > self.reach_tolerance)
+        best, place = xp.argmin(costs, axis=1), self._arrays.arange(len(costs))
+        return poses[place, best], clearances[place, best]
+
+    def _compute_clearances(self, poses: AnyArray, joints: AnyArray) -> AnyArray:
+        """Return the distances (r, k) in m of persons' fingers from the gripper on its approach to k grasps.
+
+        Grasps (r, k, 7) and the joints (r, 16, 3) of the hands are in the objects' frames.
+        """
+        xp = self._arrays.xp
+        points = inverse_transform_points(poses[:, :, None], joints[:, None])
+        distances = [xp.min(compute_box_distances(points, center, half), axis=2) for center, half in self._boxes]
+        return (xp.minimum(*distances) - _FINGER_RADIUS).clip(None, MAX_CLEARANCE)
+
+    def _compute_reach_distances(self, poses: AnyArray, joints: AnyArray) -> AnyArray:
+        """Return the distances (r, k) in m of world poses (r, k, 7) from the nearest poses that the arms reach.
+
+        Inverse kinematics starts at the arms' joints (r, 9), so that other configurations of the elbow are not found. A
+        rotation that remains counts as a distance.
+        """
+        xp, (count, number) = self._arrays.xp, poses.shape[:2]
+        target = compose(self._base_from_world, poses.reshape(count * number, 7))
+        angles = xp.repeat(joints[:, :ARM_DOF], number, axis=0)
+        for iteration in range(_N_ITERATIONS + 1):
+            jacobian, position, axes = self._arm.compute_hand_jacobians(angles)
+            inverse = conjugate_quaternions(quaternions_from_matrices(axes))
+            rotation = rotation_vectors_from_quaternions(
+                multiply_quaternions(inverse, normalize_quaternions(target[:, 3:]))
+            )
+            translation = target[:, :3] - position
+            if iteration == _N_ITERATIONS:
                 break
-            candidates = number
-        return best, clearances
+            rotation = xp.sum(axes * _limit(rotation, _MAX_ROTATION)[:, None], axis=2)
+            twist = xp.concat([_limit(translation, _MAX_TRANSLATION), rotation], axis=1)
+            angles = (angles + solve_damped(jacobian, twist, _DAMPING)).clip(self._low, self._high)
+        errors = compute_lengths(translation) + _ERROR_ROTATION_WEIGHT * compute_lengths(rotation)
+        return errors.reshape(count, number)
 
 
 def compute_motion_costs(grasps: AnyArray, gripper: AnyArray, rotation_weight: float) -> AnyArray:
@@ -156,32 +209,44 @@ def compute_motion_costs(grasps: AnyArray, gripper: AnyArray, rotation_weight: f
     return xp.sqrt(x * x + y * y + z * z) + rotation_weight * angles
 
 
-def compute_clearances(origins: AnyArray, axes: AnyArray, joints: AnyArray) -> AnyArray:
-    """Return the distances (r, k) in m of the nearest joint of a person's hand to the gripper's axis at k grasps.
+def compute_box_distances(points: AnyArray, center: AnyArray, half_size: AnyArray) -> AnyArray:
+    """Return the signed distances (...) in m of points (..., 3) from a box, negative inside."""
+    xp = get_namespace(points)
+    x, y, z = (xp.abs(points[..., axis] - center[axis]) - half_size[axis] for axis in range(3))
+    inside = xp.maximum(xp.maximum(x, y), z).clip(None, 0.0)
+    x, y, z = (value.clip(0.0) for value in (x, y, z))
+    return xp.sqrt(x * x + y * y + z * z) + inside
 
-    Args:
-        origins: Positions (r, k, 3) of the hand link in the frames of the objects (m).
-        axes: Directions (r, k, 3) of the hand link's z axes.
-        joints: Joints (r, 16, 3) of the persons' hands (m).
+
+def _take_lowest(count: int, costs: AnyArray, *arrays: AnyArray) -> tuple[AnyArray, ...]:
+    """Return the columns of arrays (r, g, ...) with the `count` lowest costs (r, g) of each row, the costs last.
+
+    The order of the columns remains, so that of equal costs the first one counts.
     """
-    xp = get_namespace(joints)
-    x, y, z = (joints[:, None, :, axis] - origins[..., None, axis] for axis in range(3))
-    u, v, w = (axes[..., None, axis] for axis in range(3))
-    along = (x * u + y * v + z * w).clip(BACK_Z, TIP_Z)
-    x, y, z = x - along * u, y - along * v, z - along * w
-    return xp.sqrt(xp.min(x * x + y * y + z * z, axis=-1)).clip(None, MAX_CLEARANCE)
+    if costs.shape[1] > count:
+        xp = get_namespace(costs)
+        order = costs.argsort(dim=1) if is_tensor(costs) else np.argpartition(costs, count, axis=1)
+        columns = xp.sort(order[:, :count], axis=1, stable=False)
+        rows = xp.arange(len(costs), device=costs.device)[:, None]
+        arrays, costs = tuple(array[rows, columns] for array in arrays), costs[rows, columns]
+    return *arrays, costs
 
 
-def _sort_by_cost(costs: AnyArray, place: int) -> AnyArray:
-    """Return indices (r, g) that sort `costs` (r, g) partly: the first `place` ones have the lowest costs of a row."""
-    return costs.argsort(dim=1) if is_tensor(costs) else np.argpartition(costs, place, axis=1)
+def _limit(vectors: AnyArray, length: float) -> AnyArray:
+    """Return vectors (m, 3), shortened to a length where they are longer."""
+    return vectors * (length / compute_lengths(vectors).clip(length))[:, None]
 
 
 @functools.lru_cache(maxsize=1024)
-def load_known_grasps(context: PolicyContext, object_class: int) -> tuple[Array, Array] | None:
-    """Return poses (n, 7) and z axes (n, 3) of the hand link at a class's grasps and their half turns, in its frame."""
-    poses = load_hand_poses(context.grasps, context.object_names[object_class])
-    if poses is None:
+def _load_grasps(context: PolicyContext, object_class: int) -> tuple[Array, Array] | None:
+    """Return poses (n, 7) of a class's grasps and half turns in its frame, and costs (n,) in s of those that may slip.
+
+    The grasps are validated in simulation, which takes minutes the first time for an object of the user.
+    """
+    config = ReactiveConfig()
+    graspable = load_graspable_object(context, context.object_names[object_class], config)
+    if not len(graspable.grasps.poses):
         return None
-    poses = np.concatenate([poses, compose(poses, np.array(HALF_TURN))])
-    return poses, rotate_points(poses[:, 3:], np.array([0.0, 0.0, 1.0]))
+    costs = compute_hold_costs(graspable.grasps, graspable.pad_margins, config.selection)
+    poses = graspable.grasps.poses
+    return np.concatenate([poses, compose(poses, np.array(HALF_TURN))]), np.concatenate([costs, costs])

@@ -4,27 +4,27 @@ An offer is a vector of outputs of `HandoverPoseScheme`. Its features depend on 
 own hand, the gripper, and the known grasps of the object. They do not depend on the receiver's policy.
 """
 
+import functools
+
 import numpy as np
 import numpy.typing as npt
 
 from handover_marl.episode.metrics.fluency import CHEST, HALF_SHOULDER_WIDTH
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import AnyArray, get_namespace, widen
+from handover_marl.geometry.panda import HALF_TURN
 from handover_marl.geometry.poses import compose, inverse_transform_points, invert_pose
 from handover_marl.geometry.rotations import (
     matrices_from_quaternions,
     multiply_quaternions,
     quaternions_from_rotation_vectors,
+    rotate_points,
 )
 from handover_marl.learning.array_features import compute_handover_frames, rotate_to_frame, rotate_to_world
 from handover_marl.learning.giver_schemes import HandoverPoseScheme
-from handover_marl.learning.grasp_selector import (
-    LowestCostGraspSelector,
-    compute_clearances,
-    compute_motion_costs,
-    load_known_grasps,
-)
+from handover_marl.learning.grasp_selector import MAX_CLEARANCE, LowestCostGraspSelector, compute_motion_costs
 from handover_marl.policies.policy import PolicyContext
+from handover_marl.receivers.grasp_library import load_hand_poses
 
 Array = npt.NDArray[np.float64]
 Vectors = npt.NDArray[np.float32]
@@ -33,6 +33,9 @@ Vectors = npt.NDArray[np.float32]
 OFFER_FEATURES, N_OFFER_FEATURES = "offer", 36
 # Numbers of grasps of lowest cost over which the clearance to the person's hand is averaged.
 _NUMBERS_OF_GRASPS = (1, 4, 16, 64)
+# Extent of the gripper along the hand link's z axis, from behind its palm to the fingertips (m); desired distance of
+# the joints of the person's hand from this line (m), and weight of the amount by which the distance is below it.
+_BACK_Z, _TIP_Z, _DESIRED_CLEARANCE, _CLEARANCE_WEIGHT = -0.05, 0.11, 0.09, 4.0
 
 
 def draw_offers(rng: np.random.Generator, count: int, spread: float) -> Vectors:
@@ -94,18 +97,16 @@ def compute_offer_features(observation: Observation, offers: Vectors, context: P
         offers: Offers (k, 7), outputs of `HandoverPoseScheme`.
         context: Known grasps of the objects.
     """
-    known = load_known_grasps(context, int(observation["object_classes"][0, 0]))
-    if known is None:
+    grasps = _load_known_grasps(context, int(observation["object_classes"][0, 0]))
+    if grasps is None:
         return None
-    grasps, axes = known
     joints = inverse_transform_points(observation["object_poses"][:, :1], observation["hand_keypoints"])
-    clearances = compute_clearances(grasps[None, :, :3], axes[None], joints)[0]
+    clearances = _compute_clearances(grasps, joints[0])
     origins, frames = compute_handover_frames(observation)
     objects = compute_offered_poses(observation, offers)
     weight = LowestCostGraspSelector.rotation_weight
     motions = compute_motion_costs(grasps[None], compose(invert_pose(objects), observation["gripper_pose"]), weight)
-    missing = (LowestCostGraspSelector.desired_clearance - clearances).clip(0.0)
-    costs = motions + LowestCostGraspSelector.clearance_weight * missing
+    costs = motions + _CLEARANCE_WEIGHT * (_DESIRED_CLEARANCE - clearances).clip(0.0)
     order, best, row = np.argsort(motions, axis=1, kind="stable"), np.argmin(costs, axis=1), np.arange(len(offers))
     means = [clearances[order[:, :number]].mean(axis=1) for number in _NUMBERS_OF_GRASPS]
     numbers = [*(10.0 * mean for mean in means), motions[row, order[:, 0]]]
@@ -127,3 +128,20 @@ def compute_offer_scores(outputs: AnyArray) -> AnyArray:
     """
     xp = get_namespace(outputs)
     return (1.0 - outputs[:, 1].clip(0.0, 1.0)) / (1.0 + xp.exp(-outputs[:, 0]))
+
+
+def _compute_clearances(grasps: Array, joints: AnyArray) -> Array:
+    """Return the distances (k,) in m of joints (16, 3) of a hand from the gripper's axis at k grasps (k, 7)."""
+    axes = rotate_points(grasps[:, 3:], np.array([0.0, 0.0, 1.0]))
+    x, y, z = (joints[None, :, axis] - grasps[:, None, axis] for axis in range(3))
+    u, v, w = (axes[:, None, axis] for axis in range(3))
+    along = (x * u + y * v + z * w).clip(_BACK_Z, _TIP_Z)
+    x, y, z = x - along * u, y - along * v, z - along * w
+    return np.sqrt(np.min(x * x + y * y + z * z, axis=-1)).clip(None, MAX_CLEARANCE)
+
+
+@functools.lru_cache(maxsize=1024)
+def _load_known_grasps(context: PolicyContext, object_class: int) -> Array | None:
+    """Return poses (n, 7) of the hand link at a class's known grasps and their half turns, in its frame; cached."""
+    poses = load_hand_poses(context.grasps, context.object_names[object_class])
+    return None if poses is None else np.concatenate([poses, compose(poses, np.array(HALF_TURN))])

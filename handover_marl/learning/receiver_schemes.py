@@ -1,10 +1,8 @@
 """Action schemes of receivers, which convert network outputs to joint targets."""
 
-import numpy as np
-
 from handover_marl.config import ARM_DOF, PANDA_DOF
 from handover_marl.episode.observations import Observation
-from handover_marl.geometry.arm import ArmKinematics
+from handover_marl.geometry.arm import ArmKinematics, solve_damped
 from handover_marl.geometry.arrays import AnyArray, get_namespace, stack_last, widen
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import CLOSED, LOWER_LIMITS, OPEN, UPPER_LIMITS, WAITING_JOINTS
@@ -102,7 +100,6 @@ class HandMotionScheme(JointScheme):
     def allocate(self, context: PolicyContext, count: int) -> None:
         """Create the joint limits and the arm's kinematics; called once."""
         super().allocate(context, count)
-        self._damping = self._arrays.asarray(self.damping**2 * np.eye(6))
         self._robot = ArmKinematics(read_tree(context.panda_urdf))
 
     def _move(
@@ -114,11 +111,9 @@ class HandMotionScheme(JointScheme):
         """
         xp = self._arrays.xp
         arm = xp.astype(observation["robot_joint_position"][:, :ARM_DOF], xp.float64)
-        jacobian, axes = self._robot.compute_hand_jacobians(arm)
+        jacobian, _, axes = self._robot.compute_hand_jacobians(arm)
         twist = xp.concat([rotate_to_world(axes, translations), rotate_to_world(axes, rotations)], axis=1)
-        gram = xp.stack([xp.sum(jacobian * jacobian[:, row, None], axis=2) for row in range(6)], axis=1)
-        weights = xp.linalg.solve(gram + self._damping, twist[..., None])
-        return self._limit_targets(arm + xp.sum(jacobian * weights, axis=1), closed)
+        return self._limit_targets(arm + solve_damped(jacobian, twist, self.damping), closed)
 
 
 class CartesianDeltaScheme(HandMotionScheme, InvertibleScheme):
@@ -145,7 +140,7 @@ class CartesianDeltaScheme(HandMotionScheme, InvertibleScheme):
     def outputs_from_actions(self, actions: AnyArray, observation: Observation) -> AnyArray:
         """Return the outputs (r, 7) for target positions (r, 9), with the same direction if they are too far away."""
         xp, arm = self._arrays.xp, widen(observation["robot_joint_position"][:, :ARM_DOF])
-        jacobian, axes = self._robot.compute_hand_jacobians(arm)
+        jacobian, _, axes = self._robot.compute_hand_jacobians(arm)
         twist = xp.sum(jacobian * (widen(actions[:, :ARM_DOF]) - arm)[:, None], axis=2)
         translations = rotate_to_frame(axes, twist[:, :3]) / self.max_output_translation
         rotations = rotate_to_frame(axes, twist[:, 3:]) / self.max_output_rotation

@@ -25,8 +25,8 @@ GRIPPER_BOX_HALF_SIZES = np.array(
     [[0.0316, 0.104, 0.046], [0.0105, 0.0133, 0.0271], [0.0105, 0.0133, 0.0271], [0.055, 0.055, 0.04]]
 )
 
-# Center and half size of the volume that the fingers sweep when they close.
-_CLOSING_BOX = (np.array([0.0, 0.0, 0.0855]), np.array([0.0105, 0.0666, 0.0271]))
+#: Center and half size of the volume that the fingers sweep when they close.
+CLOSING_BOX = (np.array([0.0, 0.0, 0.0855]), np.array([0.0105, 0.0666, 0.0271]))
 # Boxes that move through space on the straight approach: hand body and flange.
 _APPROACH_BOXES = (0, 3)
 _FLANGE = 3
@@ -137,7 +137,7 @@ def compute_grasp_clearances(hands: Array, spheres: Spheres, sweep: float = 0.0,
     """
     local = _points_in_hands(hands, spheres.centers)
     back = np.array([0.0, 0.0, 0.5 * sweep])
-    distances = _box_distances(local - _CLOSING_BOX[0], _CLOSING_BOX[1])
+    distances = _box_distances(local - CLOSING_BOX[0], CLOSING_BOX[1])
     for box in _APPROACH_BOXES if flange else _APPROACH_BOXES[:1]:
         swept = _box_distances(local - GRIPPER_BOX_CENTERS[box] + back, GRIPPER_BOX_HALF_SIZES[box] + back)
         distances = np.minimum(distances, swept)

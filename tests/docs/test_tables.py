@@ -31,13 +31,15 @@ from tests.docs.pages import PAGES, REPOSITORY, checked_table, marks
 from tests.evaluation.quick import make_report
 
 ENVIRONMENT = REPOSITORY / "docs" / "reference" / "environment.md"
-BENCHMARK = REPOSITORY / "docs" / "reference" / "rules_and_metrics.md"
-#: Marks of the tables that are checked here and in `tests/receivers/test_information.py`. Those of features and action
-#: schemes, which have a slash, are checked in `tests/docs/test_feature_tables.py`.
+METRICS = REPOSITORY / "docs" / "reference" / "metrics.md"
+REWARDS = REPOSITORY / "docs" / "reference" / "rewards.md"
+#: Marks of the tables that are checked here, in `tests/receivers/test_information.py` and `tests/test_architecture.py`.
+#: Those of features and action schemes, which have a slash, are checked in `tests/docs/test_feature_tables.py`.
 CHECKED = {
     *("receiver actions", "giver actions", "rewards", "reward terms", "generated scenes", "receiver inputs"),
     *("shared observations", "giver observations", "camera observations"),
     *("rules", "official metrics", "fluency metrics", "episode columns", "identity", "comparison columns"),
+    "packages",
 }
 OFFICIAL_COLUMNS = (
     tables.N_EPISODES,
@@ -118,7 +120,7 @@ def test_state_and_infos() -> None:
 
 
 def test_rewards() -> None:
-    rows = checked_table(ENVIRONMENT, "rewards")
+    rows = checked_table(REWARDS, "rewards")
     true = {
         (agent, term): (getattr(SPARSE, agent).get(term, 0.0), weight)
         for agent in ("receiver", "giver")
@@ -129,21 +131,21 @@ def test_rewards() -> None:
 
 def test_reward_terms() -> None:
     """The page has the same table as the module; `tests/envs/test_rewards.py` checks its values."""
-    rows = checked_table(REPOSITORY / "docs" / "reference" / "rewards.md", "reward terms")
+    rows = checked_table(REWARDS, "reward terms")
     lines = [line.split("|") for line in (rewards.__doc__ or "").splitlines() if line.startswith("| ")][1:]
     documented = [[bare(row[0]), row[1].replace(" of duration T", ""), row[2]] for row in rows]
     assert documented == [[cell.strip() for cell in line[1:4]] for line in lines]
 
 
 def test_rules() -> None:
-    for _, field, value in checked_table(BENCHMARK, "rules"):
+    for _, field, value in checked_table(ENVIRONMENT, "rules"):
         assert getattr(OFFICIAL_CONFIG.protocol, bare(field)) == ast.literal_eval(value), field
-    documented = {bare(row[1]) for row in checked_table(BENCHMARK, "rules")}
+    documented = {bare(row[1]) for row in checked_table(ENVIRONMENT, "rules")}
     assert set(asdict(OFFICIAL_CONFIG.protocol)) - documented == {"region_lower", "region_upper"}
 
 
 def documented_names(mark: str, column: int = 0) -> list[str]:
-    return [word for row in checked_table(BENCHMARK, mark) for word in re.findall(r"`([^`]+)`", row[column])]
+    return [word for row in checked_table(METRICS, mark) for word in re.findall(r"`([^`]+)`", row[column])]
 
 
 def sample_report(physics: str = "exact", *statuses: int) -> Report:
@@ -168,7 +170,7 @@ def sample_crossplay() -> CrossPlay:
 )
 def test_metrics_have_one_name(mark: str, group: str, columns: tuple[Column, ...]) -> None:
     """The page names the title in tables, the key in JSON and the key in CSV of every metric as the code does."""
-    rows = checked_table(BENCHMARK, mark)
+    rows = checked_table(METRICS, mark)
     assert [bare(row[0]) for row in rows] == [column.title for column in columns]
     report, header = sample_report().to_json(), next(csv.reader(sample_crossplay().to_csv().splitlines()))
     for column, row in zip(columns, rows, strict=True):

@@ -13,41 +13,55 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import ArrayFactory, is_tensor, to_numpy
-from handover_marl.geometry.poses import compose, inverse_transform_points
+from handover_marl.geometry.panda import HALF_TURN
+from handover_marl.geometry.poses import compose
 from handover_marl.learning.features import make_array_features, make_features
 from handover_marl.learning.grasp_selector import MAX_CLEARANCE, LowestCostGraspSelector
 from handover_marl.learning.schemes import make_array_scheme, make_scheme
+from handover_marl.planning.arm_control import ArmInWorld
+from handover_marl.planning.robot_clearance import Spheres, compute_grasp_clearances
 from handover_marl.receivers.grasp_library import load_hand_poses
+from handover_marl.receivers.reactive.config import ReactiveConfig
+from handover_marl.receivers.reactive.grasp_contact import compute_hold_costs, load_graspable_object
 from tests.helpers.tensors import make_device_tensors
 from tests.learning.array_encodings import CONTEXT, COUNT, FEATURES, ROWS, SCHEMES, draw_observation, select
 
 
 def test_selected_grasps_have_the_lowest_cost() -> None:
-    observation, n_grasps = draw_observation(4), 0
+    """Every grasp that would cost less than the selected one, if it were in reach, is out of reach."""
+    observation, n_grasps, n_unreachable = draw_observation(4), 0, 0
+    # The objects are near the grippers.
+    observation["object_poses"][:, 0, :3] = observation["gripper_pose"][:, :3] + np.float32([0.0, 0.2, 0.1])
     grasps, clearances, exists = LowestCostGraspSelector(CONTEXT, COUNT).select(ROWS, observation)
+    arm, config = ArmInWorld.for_panda(CONTEXT.panda_urdf, CONTEXT.panda, 0.03), ReactiveConfig()
     for row in ROWS.tolist():
-        one = select(observation, row)
-        known = load_hand_poses(CONTEXT.grasps, CONTEXT.object_names[int(one["object_classes"][0])])
-        assert exists[row] == (known is not None)
-        if known is None:
+        one = {key: values.astype(float) for key, values in select(observation, row).items()}
+        name = CONTEXT.object_names[int(one["object_classes"][0])]
+        assert exists[row] == (load_hand_poses(CONTEXT.grasps, name) is not None)
+        if not exists[row]:
             continue
         n_grasps += 1
-        half_turn = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0])
-        poses = compose(one["object_poses"][0].astype(float), np.concatenate([known, compose(known, half_turn)]))
-        gripper = one["gripper_pose"].astype(float)
-        turns = Rotation.from_quat(gripper[3:]).inv() * Rotation.from_quat(poses[:, 3:])
+        graspable = load_graspable_object(CONTEXT, name, config)
+        known = graspable.grasps.poses
+        poses = compose(one["object_poses"][0], np.concatenate([known, compose(known, np.array(HALF_TURN))]))
+        turns = Rotation.from_quat(one["gripper_pose"][3:]).inv() * Rotation.from_quat(poses[:, 3:])
         free = np.full(len(poses), MAX_CLEARANCE)
         if one["hand_present"][0]:
-            local = np.stack([inverse_transform_points(pose, one["hand_keypoints"].astype(float)) for pose in poses])
-            local[..., 2] -= local[..., 2].clip(-0.05, 0.11)
-            free = np.minimum(np.linalg.norm(local, axis=-1).min(axis=1), MAX_CLEARANCE)
-        costs = np.linalg.norm(poses[:, :3] - gripper[:3], axis=1) + 0.25 * turns.magnitude()
-        costs += 4.0 * np.maximum(0.09 - free, 0.0)
+            fingers = Spheres(one["hand_keypoints"], np.full(16, 0.012))
+            free = compute_grasp_clearances(poses, fingers, 0.08, flange=False).clip(None, MAX_CLEARANCE)
+        costs = np.linalg.norm(poses[:, :3] - one["gripper_pose"][:3], axis=1) + 0.25 * turns.magnitude()
+        costs += 0.1 * np.tile(compute_hold_costs(graspable.grasps, graspable.pad_margins, config.selection), 2)
+        costs += 10.0 * np.maximum(0.03 - free, 0.0) + 5.0 * (free < 0.003)
         away = np.linalg.norm(poses[:, :3] - grasps[row, :3], axis=1) + 1.0 - np.abs(poses[:, 3:] @ grasps[row, 3:])
         found = int(np.argmin(away))
-        assert costs[found] <= costs.min() + 1e-6
+        assert away[found] < 1e-6
         np.testing.assert_allclose(clearances[row], free[found], atol=1e-6)
+        cheaper = poses[costs < costs[found] - 1e-6]
+        starts = np.tile(one["robot_joint_position"][:7], (len(cheaper), 1))
+        assert not arm.solve(cheaper, starts, 4)[1].any()
+        n_unreachable += len(cheaper)
     assert 0 < n_grasps < COUNT
+    assert n_unreachable
 
 
 @pytest.mark.parametrize(("agent", "name"), FEATURES)

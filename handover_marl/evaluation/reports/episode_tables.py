@@ -30,7 +30,7 @@ _SCENE, _OUTCOME = slice(0, 2), slice(4, 7)
 FLUENCY_NOTE = (
     "Means over the n episodes that have a value. Human idle, robot idle, concurrent activity and functional delay are "
     "shares of the episode (Hoffman 2019); forces are sums of normal forces in one step of 1 ms; SPARC is spectral arc "
-    "length; jerk is a root mean square. Definitions: docs/reference/rules_and_metrics.md."
+    "length; jerk is a root mean square. Definitions: docs/reference/metrics.md."
 )
 
 
