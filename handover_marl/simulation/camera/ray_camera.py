@@ -147,11 +147,8 @@ class Framebuffer:
         x, y, _ = (self._camera.rays.take(ground, axis=0) @ self._rotation.T).T * self._depth[ground]
         squares = (np.floor(x + self._position[0]) + np.floor(y + self._position[1])).astype(np.int64) & 1
         # Normals in the world, the number of each pixel's, and colours before shading, first of the ground.
-        normals, numbers, found = (
-            [np.array([[0.0, 0.0, 1.0]])],
-            [np.zeros(len(ground), np.int64)],
-            [_GROUND_COLORS[squares]],
-        )
+        normals, found = [np.array([[0.0, 0.0, 1.0]])], [_GROUND_COLORS[squares]]
+        numbers: list[npt.NDArray[np.integer]] = [np.zeros(len(ground), np.int64)]
         count = 1
         for link, first, end in zip(links, ends[1:-1], ends[2:], strict=True):
             if first < end:
