@@ -2,10 +2,12 @@
 
     python experiments/bench_speed.py --data-dir DIR
     python experiments/bench_speed.py --warp --sizes 256 1024 4096
+    python experiments/bench_speed.py --cameras --vector-envs 32
 
 The measured environments alternate every few steps in one process, so that drift of the machine's speed cancels; ratios
 are computed within one run. With `--warp`, the speed of vector environments on a device is measured for several numbers
-of environments. The first step, which compiles kernels, is not measured.
+of environments. The first step, which compiles kernels, is not measured. With `--cameras`, the speed of observations of
+the wrist camera in MuJoCo's physics is measured.
 """
 
 import time
@@ -18,11 +20,11 @@ import tyro
 from rich.progress import track
 
 import handover_marl
-from handover_marl.config import ARM_DOF, PandaConfig
+from handover_marl.config import ARM_DOF, PandaConfig, make_camera
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.vector.parallel_vector_env import ParallelVectorEnv
 from handover_marl.episode.giver_motion import NO_DEVIATION
-from handover_marl.episode.spaces import STATE
+from handover_marl.episode.spaces import POINTCLOUD, STATE
 from handover_marl.evaluation.reports.tables import format_table
 from handover_marl.execution.options import describe_machine
 from handover_marl.geometry.arrays import AnyArray, make_tensor_factory
@@ -43,6 +45,7 @@ class Args(SetupArgs):
         control_period: Time for which an action is applied (s).
         repetitions: Number of runs on the processor; the table gives median ratios and their range.
         vector_envs: Number of environments in a MuJoCo batch on the processor; 0 skips batches.
+        cameras: Whether to measure observations of the wrist camera instead, in two processes.
         warp: Whether to measure MuJoCo Warp instead.
         sizes: Numbers of environments with MuJoCo Warp.
         device: Device of MuJoCo Warp: cuda, or cpu.
@@ -54,6 +57,7 @@ class Args(SetupArgs):
     control_period: float = 0.1
     repetitions: int = 5
     vector_envs: int = 256
+    cameras: bool = False
     warp: bool = False
     sizes: tuple[int, ...] = (64, 256, 1024, 4096)
     device: str = CUDA
@@ -108,6 +112,38 @@ def step_randomly(env: HandoverEnv | ParallelVectorEnv, decisions: int, rng: np.
         env.step({"giver": np.tile(NO_DEVIATION, (*shape, 1)), "receiver": targets})
 
 
+def measure_cameras(args: Args) -> str:
+    """Measure observations of the wrist camera, and return a table: a row for each observation.
+
+    It has the observations per second of wall-clock time in two processes, and the processor time of one observation
+    with its control step in this process. The first row has no camera.
+    """
+    sizes: dict[tuple[str, int], str] = {(STATE, 224): "state, no camera", (POINTCLOUD, 224): "points"}
+    sizes |= {("rgb+depth", side): f"RGB-D, {side} x {side}" for side in (224, 128)}
+    envs, frames = list[ParallelVectorEnv](), np.zeros((args.repetitions, 2, len(sizes)))
+    where: dict[str, Any] = {"data_dir": args.data_dir, "dataset": args.dataset, "autoreset": "same_step"}
+    for mode, side in sizes:
+        options = {**where, "obs_mode": mode, "cameras": (make_camera("wrist", width=side, height=side),)}
+        envs.append(handover_marl.vector_env(args.vector_envs, None, processes=2, **options))
+        envs.append(handover_marl.vector_env(8, None, threads=1, **options))
+    for number, env in enumerate(envs):
+        env.reset(seed=number)
+    for run in track(range(args.repetitions), "runs"):
+        for number, env in enumerate(envs):
+            clock = (time.perf_counter, time.process_time)[number % 2]
+            started = clock()
+            step_randomly(env, STEPS_PER_TURN, np.random.default_rng(run))
+            frames[run, number % 2, number // 2] = (clock() - started) / STEPS_PER_TURN / env.num_envs
+    for env in envs:
+        env.close()
+    wall, processor = np.median(frames, axis=0)
+    rows = [
+        (name, f"{1.0 / one:.0f}", f"{1e3 * other:.2f}")
+        for name, one, other in zip(sizes.values(), wall, processor, strict=True)
+    ]
+    return format_table(("observation", "observations/s", "processor ms"), rows)
+
+
 def measure_warp(args: Args, count: int) -> tuple[float, float]:
     """Return the physics steps and the decisions per second of `count` environments with MuJoCo Warp."""
     # Images are rendered only for observations that are returned.
@@ -155,7 +191,9 @@ def measure_warp(args: Args, count: int) -> tuple[float, float]:
 
 def main(args: Args) -> None:
     """Measure and print a table, machine and date."""
-    if args.warp:
+    if args.cameras:
+        print(measure_cameras(args))
+    elif args.warp:
         found = [(count, *measure_warp(args, count)) for count in args.sizes]
         rows = [(count, f"{steps:,.0f}", f"{decisions:,.1f}") for count, steps, decisions in found]
         print(format_table(("environments", "physics steps/s", "decisions/s"), rows))

@@ -25,7 +25,7 @@ from handover_marl.version import __version__
 
 # Public names by module, imported at first use to keep the import fast; `__init__.pyi` has their types.
 _NAMES = {
-    "config": ("WorldConfig",),
+    "config": ("CAMERAS", "CameraConfig", "WorldConfig", "make_camera"),
     "envs.config": ("EnvConfig",),
     "envs.constructors": ("benchmark_env", "env", "parallel_env"),
     "envs.custom_rewards": ("combine_rewards", "declare_terms"),
@@ -55,6 +55,7 @@ _NAMES = {
     "learning.custom_encodings": ("FeatureExtractor", "declare_size"),
     "simulation.camera.images": ("SegmentationLabel",),
     "simulation.camera.noise": ("CameraNoise",),
+    "simulation.camera.randomization": ("CameraRandomization",),
 }
 _MODULES = {name: f"{__name__}.{module}" for module, names in _NAMES.items() for name in names}
 

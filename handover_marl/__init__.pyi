@@ -1,6 +1,9 @@
 """Types of the public names; `__init__.py` imports them at first use."""
 
+from handover_marl.config import CAMERAS as CAMERAS
+from handover_marl.config import CameraConfig as CameraConfig
 from handover_marl.config import WorldConfig as WorldConfig
+from handover_marl.config import make_camera as make_camera
 from handover_marl.envs.config import EnvConfig as EnvConfig
 from handover_marl.envs.constructors import benchmark_env as benchmark_env
 from handover_marl.envs.constructors import env as env
@@ -40,4 +43,5 @@ from handover_marl.learning.custom_encodings import FeatureExtractor as FeatureE
 from handover_marl.learning.custom_encodings import declare_size as declare_size
 from handover_marl.simulation.camera.images import SegmentationLabel as SegmentationLabel
 from handover_marl.simulation.camera.noise import CameraNoise as CameraNoise
+from handover_marl.simulation.camera.randomization import CameraRandomization as CameraRandomization
 from handover_marl.version import __version__ as __version__

@@ -5,13 +5,14 @@ results exist for these values only. Constants in capitals are fixed by the data
 """
 
 import math
-from dataclasses import Field, dataclass, field, fields, is_dataclass
+from dataclasses import Field, dataclass, field, fields, is_dataclass, replace
 from numbers import Integral, Real
 from typing import Any, ClassVar
 
 import numpy as np
 
-from handover_marl.errors import OptionError
+from handover_marl.errors import OptionError, check_name
+from handover_marl.geometry.panda import HAND_LINK, MOUNT_LINKS
 
 #: Largest image side (pixels); larger ones crash the software renderer.
 MAX_IMAGE_SIDE = 8192
@@ -60,6 +61,9 @@ class CheckedConfig:
                 _check_nested_numbers(name, value)
             elif is_dataclass(default):
                 check_config(name, value, type(default))
+            elif isinstance(default, str):
+                if not isinstance(value, str):
+                    raise OptionError(f"{name} must be a text, got {value!r}")
             elif isinstance(default, tuple):
                 object.__setattr__(self, part.name, _check_tuple(name, value, len(default), self._get_limits(part)))
             else:
@@ -313,14 +317,23 @@ OFFICIAL_CONFIG = WorldConfig()
 class CameraConfig(CheckedConfig):
     """Configuration of a pinhole camera; the default shows robot, table and hand from the side.
 
+    Position, target and `up` are in the frame of the link on which the camera is mounted, or in the world frame. The
+    horizontal field of view follows from the sides of the image, since pixels are squares.
+
     Attributes:
         width: Width of the image (pixels).
         height: Height of the image (pixels).
         vertical_fov: Vertical field of view (degrees).
         near: Distance of the near plane (m).
         far: Distance of the far plane (m).
-        position: Position of the camera, world frame (m).
-        target: Point at the image's center, world frame (m).
+        position: Position of the camera (m).
+        target: Point at the image's center (m).
+        up: Direction of the image's upper edge, not parallel to the viewing direction.
+        link: Link of the robot on which the camera is mounted, e.g. "panda_hand"; "" for a camera that is fixed in the
+            world. Overview images have the second kind only.
+        name: Name of the camera, which starts the keys of its observations, e.g. "front_rgb".
+        period: Time between two images (s), a whole number of milliseconds, after which an observation has a new image;
+            0 for a new image in every observation.
     """
 
     width: int = bounded(640, 1, MAX_IMAGE_SIDE)
@@ -330,6 +343,10 @@ class CameraConfig(CheckedConfig):
     far: float = 10.0
     position: Vector3 = (1.95, -0.2, 1.75)
     target: Vector3 = (0.45, -0.2, 1.15)
+    up: Vector3 = (0.0, 0.0, 1.0)
+    link: str = ""
+    name: str = "side"
+    period: float = bounded(0.0, 0.0, 10.0)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -337,3 +354,34 @@ class CameraConfig(CheckedConfig):
             raise OptionError(f"near of a camera must be less than far, got {self.near} and {self.far}")
         if self.position == self.target:
             raise OptionError(f"position and target of a camera must differ, got {self.position}")
+        if np.linalg.norm(np.cross(np.subtract(self.target, self.position), self.up)) < 1e-9:
+            raise OptionError(f"up of a camera must not be parallel to the viewing direction, got {self.up}")
+        if not self.name.isidentifier():
+            raise OptionError(f"name of a camera must be letters, digits and _, got {self.name!r}")
+        if self.link not in ("", *MOUNT_LINKS):
+            raise OptionError(f"link of a camera must be '' or one of {', '.join(MOUNT_LINKS)}, got {self.link!r}")
+
+
+#: Cameras by name: HandoverSim's on the wrist; one that looks at the robot from the person's side; and one behind the
+#: robot's shoulder, at the height of a person's eyes.
+CAMERAS = {
+    "wrist": CameraConfig(
+        *(224, 224, 90.0, 0.035, 2.0, (0.036, 0.0, 0.036), (0.036, 0.0, 1.036)),
+        up=(1.0, 0.0, 0.0),
+        link=HAND_LINK,
+        name="wrist",
+    ),
+    "front": CameraConfig(224, 224, 50.0, 0.1, 4.0, (0.61, 1.45, 1.65), (0.61, -0.1, 1.15), name="front"),
+    "over_shoulder": CameraConfig(224, 224, 50.0, 0.1, 4.0, (1.05, -1.25, 1.9), (0.55, 0.1, 1.1), name="over_shoulder"),
+}
+
+
+def make_camera(name: str, /, **fields: Any) -> CameraConfig:
+    """Return one of `CAMERAS` with other values of some fields, e.g. `make_camera("wrist", width=128, height=128)`.
+
+    Raises:
+        UnknownNameError: There is no camera of that name.
+        OptionError: A value is out of range.
+    """
+    check_name("camera", name, CAMERAS)
+    return replace(CAMERAS[name], **fields)

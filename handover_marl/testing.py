@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.datasets import Dataset, open_dataset
-from handover_marl.episode.camera_observations import WristCameraConfig
+from handover_marl.episode.camera_observations import SensorConfig
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import EpisodeCallback, PolicyDecision, run_episode
 from handover_marl.episode.observations import Observation
@@ -113,7 +113,7 @@ def _check(agent: str, policy: PolicyLike, dataset: Dataset, scenes: Sequence[in
     reference = parse_policy(agent, policy).resolve(dataset)
     # Slower than rays, but without an optional dependency.
     physics, renderer = ("fast", "bullet") if is_pybullet_installed() else ("mujoco", "rays")
-    episode = Episode(physics, wrist_camera=WristCameraConfig(renderer=renderer))
+    episode = Episode(physics, sensors=SensorConfig(renderer=renderer))
     partner = None if agent == "receiver" else parse_policy("receiver", "yang2021").make(dataset)
 
     def record(live: Policy, scene: int, seed: int) -> list[tuple[int, Action]]:

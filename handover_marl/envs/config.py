@@ -33,7 +33,7 @@ class EnvConfig(SceneConfig):
             returns terms by agent; a combination (`combine_rewards`); or text `module:name` that names one of these.
         max_cycles: Control steps after which an episode is truncated; default: never.
         obs_mode: Observation mode of the receiver: parts joined by "+", such as "state" or "rgb+depth+pointcloud"; see
-            `handover_marl.episode.spaces.OBS_PARTS`. Both robot models have a wrist camera.
+            `handover_marl.episode.spaces.OBS_PARTS`. Data of cameras are those of all `cameras`.
 
     Raises:
         UnknownNameError: There is no such physics, observation mode, reward, renderer, camera or
@@ -59,9 +59,9 @@ class EnvConfig(SceneConfig):
         if self.render_mode is not None:
             check_name("render_mode", self.render_mode, RENDER_MODES)
             check_rendering(f"render_mode={self.render_mode!r}")
-        camera = self.wrist_camera
+        sensors = self.sensors
         if has_camera(self.obs_mode):
-            resolve_renderer(camera.renderer, self.physics)
+            resolve_renderer(sensors.renderer, self.physics)
         resolve_rewards(self.rewards)
         _count_physics_steps(self.control_period)
         if self.max_cycles is not None:

@@ -18,7 +18,7 @@ from handover_marl.envs.config import RENDER_MODES, EnvConfig, make_env_config
 from handover_marl.envs.custom_rewards import make_reward_source
 from handover_marl.envs.rewards import StepData
 from handover_marl.envs.transition import Transition, TransitionRecorder
-from handover_marl.episode.camera_observations import CameraCapture
+from handover_marl.episode.camera_observations import CameraCapture, resolve_cameras
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import EpisodeAgent, EpisodePolicy
 from handover_marl.episode.observations import (
@@ -30,13 +30,14 @@ from handover_marl.episode.observations import (
     state_space,
 )
 from handover_marl.episode.referee import RELEASE_REASONS, EpisodeStatus
-from handover_marl.episode.spaces import giver_action_space, receiver_action_space
+from handover_marl.episode.spaces import giver_action_space, has_camera, receiver_action_space
 from handover_marl.errors import ResetNeededError
 from handover_marl.execution.options import forward_signature
 from handover_marl.geometry.arrays import ONLY_ROW
 from handover_marl.policies.policy import Action, PolicyContext, make_policy_context
+from handover_marl.simulation.camera.optics import CameraInfo, describe_calibration, make_camera_info
 
-Info = dict[str, float]
+Info = dict[str, Any]
 Observations = dict[str, Observation]
 StepResult = tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool], dict[str, Info]]
 
@@ -68,12 +69,14 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
 
     Truncation: 13 s without termination, or `max_cycles` control steps.
 
-    Infos: a dictionary of numbers for each agent, with the same keys from `reset` on.
+    Infos: a dictionary of numbers, and of matrices, for each agent, with the same keys from `reset` on.
         - `scene_id`: number of the scene.
         - `status`: bits of `handover_marl.EpisodeStatus`.
         - `steps`: physics steps since the start.
         - `release_step`: physics step in which the person released the object, or -1.
         - `release`: reason of the release, an index into `handover_marl.episode.referee.RELEASE_REASONS`, or -1.
+        - `CAMERA_K`, `CAMERA_extrinsics`: matrices of `camera_info` for each camera in the receiver's observation, e.g.
+          `wrist_K`; only the receiver's infos have them.
         - `reward/...`: weighted terms of the agent's last reward; 0 after `reset`.
 
     Copies and pickles are new environments with the same configuration and no running episode.
@@ -88,6 +91,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         config: Configuration, with the resolved setup.
         dataset: Dataset of the scenes.
         scene_ids: Numbers of the scenes that `reset` draws from, ascending.
+        calibration: Matrices in the receiver's infos, by key.
         np_random: Random generator from which `reset` draws scenes.
 
     Raises:
@@ -117,17 +121,18 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         self.agents: list[str] = []
         self.render_mode = config.render_mode
         world_config = config.world_config
-        self._episode = Episode(config.physics, world_config, config.render_mode == "human", config.wrist_camera)
+        self._episode = Episode(config.physics, world_config, config.render_mode == "human", config.sensors)
         self._rewards = make_reward_source(config.rewards, world_config.protocol.goal_center)
         self._recorder = TransitionRecorder(config.control_period)
         self._largest_class = max(self.dataset.object_names)
         self._observation: Observation | None = None
         self._partner: EpisodeAgent | None = None
+        self.calibration = describe_calibration(self.camera_info()) if has_camera(config.obs_mode) else {}
         self.np_random, _ = seeding.np_random(None)
         self._cycles, self._is_closed = 0, False
         self._observation_spaces = {
             GIVER: giver_observation_space(world_config.giver, self._largest_class),
-            RECEIVER: receiver_observation_space(config.obs_mode, self._largest_class),
+            RECEIVER: receiver_observation_space(config.obs_mode, self._largest_class, config.cameras),
         }
         self._action_spaces = {GIVER: giver_action_space(world_config.giver), RECEIVER: receiver_action_space()}
         for space in self._action_spaces.values():
@@ -271,10 +276,15 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         self._stop()
         self._is_closed = True
 
+    def camera_info(self) -> dict[str, CameraInfo]:
+        """Return size, intrinsics K (3, 3) and pose (4, 4) of each camera by name, the same in all episodes."""
+        return {camera.name: make_camera_info(camera) for camera in resolve_cameras(self.config.cameras)}
+
     def capture_wrist_camera(self) -> CameraCapture:
         """Return depth, segmentation, colours and point clouds of the wrist camera.
 
         Raises:
+            UnknownNameError: There is no camera of the name "wrist".
             ResetNeededError: No episode has been started.
             OptionError: A package is missing that the renderer needs.
         """
@@ -354,7 +364,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
             "release_step": -1 if episode.release_step is None else episode.release_step,
             "release": -1 if episode.release_reason is None else RELEASE_REASONS.index(episode.release_reason),
         }
-        return {agent: dict(info) for agent in AGENTS}
+        return {GIVER: dict(info), RECEIVER: info | {key: matrix.copy() for key, matrix in self.calibration.items()}}
 
 
 def draw_seeds(rng: np.random.Generator, config: WorldConfig) -> tuple[int, int]:

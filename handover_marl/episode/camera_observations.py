@@ -1,7 +1,8 @@
-"""Wrist camera of the robot: configuration, images and point clouds, camera observations."""
+"""Cameras that the receiver observes: configuration, images and point clouds, observations."""
 
 import hashlib
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any
@@ -10,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from handover_marl.config import ARM_DOF, PANDA_DOF, TIME_STEP, PhysicsConfig
+from handover_marl.config import ARM_DOF, CAMERAS, PANDA_DOF, TIME_STEP, CameraConfig, PhysicsConfig, check_config
 from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.spaces import (
     DEPTH,
@@ -23,12 +24,14 @@ from handover_marl.episode.spaces import (
     has_camera,
     parse_obs_mode,
 )
-from handover_marl.errors import ResetNeededError, check_name
+from handover_marl.errors import OptionError, ResetNeededError, check_name
 from handover_marl.geometry.arm import ArmKinematics
 from handover_marl.geometry.kinematic_tree import read_tree
+from handover_marl.geometry.panda import MOUNT_LINKS
 from handover_marl.simulation.camera.images import CameraImage, JointSnapshot, SegmentationLabel
 from handover_marl.simulation.camera.noise import CameraNoise, apply_camera_noise, resolve_camera_noise
-from handover_marl.simulation.camera.optics import CAMERA_MODELS, HANDOVERSIM_MODEL, IMAGE_SIZE, N_PIXELS, deproject
+from handover_marl.simulation.camera.optics import CAMERA_MODELS, HANDOVERSIM_MODEL, Pinhole, deproject, make_pinhole
+from handover_marl.simulation.camera.randomization import CameraDraw, CameraRandomization
 from handover_marl.simulation.camera.renderers import BULLET, RENDERERS, resolve_renderer
 from handover_marl.simulation.world import World
 
@@ -40,12 +43,14 @@ Cloud = npt.NDArray[np.float32]
 #: Points of a subsampled cloud in an observation.
 N_POINTS = 1024
 
-#: Clouds of an observation: key, segmentation label, and random stream that subsamples the cloud in a step.
+#: Clouds of an observation: end of the key, segmentation label, and random stream that subsamples the cloud in a step.
 CLOUDS = (
-    ("wrist_object_points", SegmentationLabel.TARGET, 0),
-    ("wrist_hand_points", SegmentationLabel.HAND, 1),
-    ("wrist_other_points", SegmentationLabel.OTHER_OBJECT, 3),
+    ("object_points", SegmentationLabel.TARGET, 0),
+    ("hand_points", SegmentationLabel.HAND, 1),
+    ("other_points", SegmentationLabel.OTHER_OBJECT, 3),
 )
+#: Names of the cameras of an observation by default.
+WRIST_ONLY = ("wrist",)
 _NOISE_STREAM = 2
 
 
@@ -58,15 +63,20 @@ class _ImageContent(IntEnum):
     COLORED = 3
 
 
-def camera_observation_space(obs_mode: str) -> dict[str, spaces.Space[Any]]:
-    """Return the spaces of the wrist camera data that an observation mode includes, by key.
+def camera_observation_space(
+    obs_mode: str, cameras: Iterable[str | CameraConfig] = WRIST_ONLY
+) -> dict[str, spaces.Space[Any]]:
+    """Return the spaces of the camera data that an observation mode includes, by key.
+
+    The table is for the camera "wrist" with h x w = 224 x 224 and n = 50176 pixels; keys of another camera start with
+    its name. Points are in the frame of the camera's link, which is the Panda's hand link for "wrist", or in the world.
 
     | data | key | shape | meaning |
     |---|---|---|---|
-    | pointcloud | wrist_object_points | (1024, 3) float32 | points of the object to be given, hand link's frame, m |
-    | pointcloud | wrist_hand_points | (1024, 3) float32 | points of the human hand, hand link's frame, m |
+    | pointcloud | wrist_object_points | (1024, 3) float32 | points of the object to be given, link's frame, m |
+    | pointcloud | wrist_hand_points | (1024, 3) float32 | points of the human hand, link's frame, m |
     | pointcloud | wrist_point_counts | (2,) float32 | number of pixels on object and hand |
-    | scene_pointcloud | wrist_other_points | (1024, 3) float32 | points of the other objects, hand link's frame, m |
+    | scene_pointcloud | wrist_other_points | (1024, 3) float32 | points of the other objects, link's frame, m |
     | scene_pointcloud | wrist_point_counts | (3,) float32 | number of pixels on object, hand and other objects |
     | depth | wrist_depth | (224, 224, 1) float32 | depth along the viewing axis, m |
     | segmentation | wrist_segmentation | (224, 224, 1) uint8 | values of `SegmentationLabel` |
@@ -78,32 +88,61 @@ def camera_observation_space(obs_mode: str) -> dict[str, spaces.Space[Any]]:
 
     "scene_pointcloud" has the clouds of "pointcloud", too; "rgbd" is depth, segmentation and rgb. Clouds of more than
     1024 points are subsampled without replacement, shorter ones padded with zeros; full clouds are padded, too. A
-    camera with latency shows earlier images; their points are in the hand link's current frame.
+    camera with latency shows earlier images; their points are in the link's current frame.
     "full_pointcloud" is for methods that subsample the points themselves and need unrounded joints, as HandoverSim's
     scripts for GA-DDPG do.
 
     Raises:
-        UnknownNameError: There is no such observation mode.
+        UnknownNameError: There is no such observation mode or camera.
     """
-    parts, found = parse_obs_mode(obs_mode), dict[str, spaces.Space[Any]]()
-    count = count_clouds(obs_mode)
-    cloud, whole = (spaces.Box(-np.inf, np.inf, (size, 3), np.float32) for size in (N_POINTS, N_PIXELS))
+    found = dict[str, spaces.Space[Any]]()
+    for camera in resolve_cameras(cameras):
+        found |= _make_spaces(obs_mode, camera)
+    return found
+
+
+def _make_spaces(obs_mode: str, camera: CameraConfig) -> dict[str, spaces.Space[Any]]:
+    parts, count, found = parse_obs_mode(obs_mode), count_clouds(obs_mode), dict[str, spaces.Space[Any]]()
+    shape, n_pixels = (camera.height, camera.width), camera.height * camera.width
+    cloud, whole = (spaces.Box(-np.inf, np.inf, (size, 3), np.float32) for size in (N_POINTS, n_pixels))
     if parts & {POINTCLOUD, SCENE_POINTCLOUD}:
-        found |= {key: cloud for key, *_ in CLOUDS[:count]}
+        found |= {f"{camera.name}_{key}": cloud for key, *_ in CLOUDS[:count]}
     if FULL_POINTCLOUD in parts:
-        found |= {"wrist_object_cloud": whole, "wrist_hand_cloud": whole}
+        found |= {f"{camera.name}_object_cloud": whole, f"{camera.name}_hand_cloud": whole}
     if count:
-        found["wrist_point_counts"] = spaces.Box(0.0, float(N_PIXELS), (count,), np.float32)
+        found[f"{camera.name}_point_counts"] = spaces.Box(0.0, float(n_pixels), (count,), np.float32)
     if FULL_POINTCLOUD in parts:
         found["robot_joint_position_exact"] = spaces.Box(-np.inf, np.inf, (PANDA_DOF,), np.float64)
-    side = IMAGE_SIZE
     images: dict[str, spaces.Space[Any]] = {
-        DEPTH: spaces.Box(0.0, np.inf, (side, side, 1), np.float32),
-        SEGMENTATION: spaces.Box(0, int(max(SegmentationLabel)), (side, side, 1), np.uint8),
-        RGB: spaces.Box(0, 255, (side, side, 3), np.uint8),
+        DEPTH: spaces.Box(0.0, np.inf, (*shape, 1), np.float32),
+        SEGMENTATION: spaces.Box(0, int(max(SegmentationLabel)), (*shape, 1), np.uint8),
+        RGB: spaces.Box(0, 255, (*shape, 3), np.uint8),
     }
-    found |= {f"wrist_{name}": space for name, space in images.items() if name in parts}
-    return found
+    return found | {f"{camera.name}_{name}": space for name, space in images.items() if name in parts}
+
+
+def resolve_cameras(cameras: Iterable[str | CameraConfig]) -> tuple[CameraConfig, ...]:
+    """Return the configurations of cameras that may be names, e.g. "wrist".
+
+    Raises:
+        UnknownNameError: There is no camera of that name.
+        OptionError: The cameras are not a sequence of names and configurations, or two have the same name.
+    """
+    if isinstance(cameras, str) or not isinstance(cameras, Iterable):
+        raise OptionError(
+            f'cameras must be a tuple of names and CameraConfigs, got {cameras!r}; e.g. ("wrist", "front")'
+        )
+    found = []
+    for camera in cameras:
+        if isinstance(camera, str):
+            check_name("camera", camera, CAMERAS)
+            camera = CAMERAS[camera]
+        check_config("every camera", camera, CameraConfig)
+        found.append(camera)
+    names = [camera.name for camera in found]
+    if len(set(names)) < len(names):
+        raise OptionError(f"cameras must have different names, got {', '.join(names)}; set CameraConfig.name")
+    return tuple(found)
 
 
 def count_clouds(obs_mode: str) -> int:
@@ -113,8 +152,8 @@ def count_clouds(obs_mode: str) -> int:
 
 
 @dataclass(frozen=True)
-class WristCameraConfig:
-    """Configuration of the wrist camera.
+class SensorConfig:
+    """Configuration of the receiver's cameras.
 
     Attributes:
         renderer: "bullet" (PyBullet), "rays" (ray casting), or "auto": bullet in exact physics and
@@ -122,49 +161,66 @@ class WristCameraConfig:
         camera_model: Deprojection: "handoversim" repeats HandoverSim's shift by one pixel,
             "pinhole" is exact.
         camera_noise: Noise of the images: None (no noise), "realsense" or a `CameraNoise`.
+        cameras: Names or configurations of the cameras; configurations after initialization.
+        randomization: Random deviations of the cameras, drawn in each episode; None for none.
 
     Raises:
-        UnknownNameError: There is no such renderer, camera model or camera noise.
-        OptionError: The camera noise has a wrong type.
+        UnknownNameError: There is no such renderer, camera model, camera noise or camera.
+        OptionError: The camera noise or a camera has a wrong type, or two cameras have the same name.
     """
 
     renderer: str = "auto"
     camera_model: str = HANDOVERSIM_MODEL
     camera_noise: str | CameraNoise | None = None
+    cameras: Iterable[str | CameraConfig] = WRIST_ONLY
+    randomization: CameraRandomization | None = None
 
     def __post_init__(self) -> None:
         check_name("renderer", self.renderer, RENDERERS)
         check_name("camera_model", self.camera_model, CAMERA_MODELS)
         if self.camera_noise is not None:
             resolve_camera_noise(self.camera_noise)
+        object.__setattr__(self, "cameras", resolve_cameras(self.cameras))
+        if self.randomization is not None:
+            check_config("camera_randomization", self.randomization, CameraRandomization)
 
     @property
     def noise(self) -> CameraNoise | None:
-        """Noise model of the wrist camera; None for perfect images."""
+        """Noise model of the cameras; None for perfect images."""
         return resolve_camera_noise(self.camera_noise)
 
+    @property
+    def has_latency(self) -> bool:
+        """Whether images of a camera arrive late, so that the steps before an observation matter."""
+        is_late = self.randomization is not None and self.randomization.latency > 0.0
+        return is_late or self.noise is not None or any(camera.period for camera in resolve_cameras(self.cameras))
+
     def describe(self, obs_mode: str, physics: str) -> str:
-        """Return a text on renderer (in this physics), camera model and noise for results; "" without camera data."""
+        """Return a text on renderer (in this physics), camera model, noise and cameras for results.
+
+        It is "" without camera data, and does not mention the default camera.
+        """
         if not has_camera(obs_mode):
             return ""
         parts = [f"renderer {resolve_renderer(self.renderer, physics)}", f"camera model {self.camera_model}"]
-        return ", ".join(parts if self.noise is None else [*parts, repr(self.noise)])
+        parts += [repr(part) for part in (self.noise, self.randomization) if part is not None]
+        return ", ".join(parts if self.cameras == BENCHMARK_SENSORS.cameras else [*parts, *map(repr, self.cameras)])
 
 
 #: Wrist camera of the benchmark.
-BENCHMARK_CAMERA = WristCameraConfig()
+BENCHMARK_SENSORS = SensorConfig()
 
 
 @dataclass(frozen=True, eq=False)
 class CameraCapture:
-    """Images and point clouds of the wrist camera at one step.
+    """Images, of h x w pixels, and point clouds of the wrist camera at one step.
 
     A camera with latency shows an earlier step; its points are in the hand link's current frame.
 
     Attributes:
-        depth: (224, 224) float32 depth along the viewing axis (m); just under 2 m for background.
-        segmentation: (224, 224) uint8 values of `SegmentationLabel`.
-        rgb: (224, 224, 3) uint8 colours.
+        depth: (h, w) float32 depth along the viewing axis (m); just under 2 m for background.
+        segmentation: (h, w) uint8 values of `SegmentationLabel`.
+        rgb: (h, w, 3) uint8 colours.
         object_points: (n, 3) float32 points of the object to be given in the hand link's frame (m), in image order.
         hand_points: (m, 3) float32 points of the human hand in the hand link's frame (m), in image order.
     """
@@ -176,30 +232,39 @@ class CameraCapture:
     hand_points: Cloud
 
 
-class WristCamera:
-    """Wrist camera in the episodes of one world; an image is rendered on request and at most once a step.
+class CameraSensor:
+    """Camera in the episodes of one world; an image is rendered on request and at most once a step.
 
     Random draws depend on the seed, the number of simulated steps and the image only, not on earlier images.
 
     Args:
-        config: Configuration of the camera.
+        config: Configuration of the cameras.
         physics: Kind of physics, "exact", "fast" or "mujoco".
         physics_config: Poses of robot and table.
+        name: Name of the camera, one of `config`.
 
     Attributes:
-        has_latency: Whether `record_snapshot` must be called every step, because images arrive late.
+        has_latency: Whether `record_snapshot` must be called every step, because images arrive late or at a period.
     """
 
-    def __init__(self, config: WristCameraConfig, physics: str, physics_config: PhysicsConfig) -> None:
+    def __init__(self, config: SensorConfig, physics: str, physics_config: PhysicsConfig, name: str = "wrist") -> None:
+        cameras = {camera.name: camera for camera in resolve_cameras(config.cameras)}
+        check_name("camera", name, cameras)
+        self._camera_config = cameras[name]
         self._config, self._physics, self._physics_config = config, physics, physics_config
-        self._noise = config.noise
-        self._delay = 0 if self._noise is None else round(self._noise.latency / TIME_STEP)
-        self.has_latency = self._delay > 0
+        self._camera, self._randomization = make_pinhole(self._camera_config), config.randomization
+        self._period = round(self._camera_config.period / TIME_STEP)
+        noise, random = config.noise, config.randomization or CameraRandomization()
+        is_late = noise is not None and round(noise.latency / TIME_STEP) > 0
+        self.has_latency = is_late or random.latency > 0.0 or self._period > 1
         self._seed = 0
+        # Camera of the current episode; None before its first use.
+        self._drawn: CameraDraw | None = None
         self._scene: Scene | None = None
         self._renderer: str | None = None
         self._ray_camera: RayCamera | None = None
-        self._history: deque[JointSnapshot] = deque(maxlen=self._delay + 1)
+        # Steps and snapshots of the image that is shown and of those that have not arrived.
+        self._history: deque[tuple[int, JointSnapshot]] = deque()
         # Last image with its step and content.
         self._last: tuple[int, _ImageContent, CameraImage] | None = None
 
@@ -208,19 +273,24 @@ class WristCamera:
         if scene is not self._scene:
             self._ray_camera = None
         self._scene = scene
-        self._last = None
+        self._last = self._drawn = None
         self._history.clear()
         if self.has_latency:
-            self.record_snapshot(world)
+            self.record_snapshot(world, 0)
 
     def seed(self, seed: int) -> None:
-        """Set the seed of subsampling and noise, which is 0 by default."""
+        """Set the seed of subsampling, noise and randomisation, which is 0 by default."""
         self._seed = seed
-        self._last = None
+        self._last = self._drawn = None
 
-    def record_snapshot(self, world: World) -> None:
-        """Record the current joint positions of `world`, from which an image is rendered after the latency."""
-        self._history.append(world.read_joint_snapshot())
+    def record_snapshot(self, world: World, steps: int) -> None:
+        """Record the joint positions of `world` after `steps` physics steps, if the camera takes an image then."""
+        if steps % max(self._period, 1) == 0:
+            self._history.append((steps, world.read_joint_snapshot()))
+        noise = self._draw_camera().noise
+        delay = 0 if noise is None else round(noise.latency / TIME_STEP)
+        while len(self._history) > 1 and self._history[1][0] + delay <= steps:
+            self._history.popleft()
 
     def capture(self, world: World, steps: int) -> CameraCapture:
         """Return the images and point clouds of a world's episode that are available after `steps` physics steps."""
@@ -230,66 +300,82 @@ class WristCamera:
 
     def observe(self, obs_mode: str, world: World, steps: int) -> dict[str, npt.NDArray[Any]]:
         """Return the camera data of a mode, see `camera_observation_space`, after `steps` physics steps of a world."""
-        parts, observation = parse_obs_mode(obs_mode), dict[str, npt.NDArray[Any]]()
+        parts, observation, name = parse_obs_mode(obs_mode), dict[str, npt.NDArray[Any]](), self._camera_config.name
         image = self._get_image(world, steps, _select_content(parts))
         clouds = self._compute_clouds(image, world, count_clouds(obs_mode))
         if parts & {POINTCLOUD, SCENE_POINTCLOUD}:
             named = zip(CLOUDS, clouds, strict=False)
-            observation |= {key: self._subsample(cloud, steps, stream) for (key, _, stream), cloud in named}
+            observation |= {f"{name}_{key}": self._subsample(cloud, steps, stream) for (key, _, stream), cloud in named}
         if FULL_POINTCLOUD in parts:
-            observation["wrist_object_cloud"], observation["wrist_hand_cloud"] = (
-                _pad_cloud(cloud, N_PIXELS) for cloud in clouds[:2]
+            observation[f"{name}_object_cloud"], observation[f"{name}_hand_cloud"] = (
+                _pad_cloud(cloud, self._camera.n_pixels) for cloud in clouds[:2]
             )
         if clouds:
-            observation["wrist_point_counts"] = np.array([len(cloud) for cloud in clouds], dtype=np.float32)
+            observation[f"{name}_point_counts"] = np.array([len(cloud) for cloud in clouds], dtype=np.float32)
         if FULL_POINTCLOUD in parts:
             observation["robot_joint_position_exact"] = world.read_joints_float64()
         if DEPTH in parts:
-            observation["wrist_depth"] = image.depth[..., None].copy()
+            observation[f"{name}_depth"] = image.depth[..., None].copy()
         if SEGMENTATION in parts:
-            observation["wrist_segmentation"] = image.segmentation[..., None].copy()
+            observation[f"{name}_segmentation"] = image.segmentation[..., None].copy()
         if RGB in parts:
-            observation["wrist_rgb"] = np.array(image.rgb, dtype=np.uint8)
+            observation[f"{name}_rgb"] = np.array(image.rgb, dtype=np.uint8)
         return observation
 
     def _compute_clouds(self, image: CameraImage, world: World, count: int) -> list[Cloud]:
-        """Compute the first `count` point clouds (n, 3) of `CLOUDS` in the Panda's hand link frame (m)."""
+        """Compute the first `count` point clouds (n, 3) of `CLOUDS` in the frame of the camera's link (m)."""
+        link = self._camera.link
         clouds = [
-            deproject(image.depth, image.compute_mask(label), self._config.camera_model)
+            deproject(image.depth, image.compute_mask(label), self._config.camera_model, self._camera)
             for _, label, _ in CLOUDS[:count]
         ]
-        if not self.has_latency or self._scene is None:
+        if not self.has_latency or self._scene is None or not link:
             return clouds
         # Robots know their joint positions at the time of an image.
-        then, now = self._history[0].robot[:ARM_DOF], world.read_agent_joints().robot[:ARM_DOF]
+        then, now = self._history[0][1].robot[:ARM_DOF], world.read_agent_joints().robot[:ARM_DOF]
         if np.array_equal(then, now):
             return clouds
         chain = ArmKinematics(read_tree(self._scene.assets.panda)).compute_chain_frames(
             np.array([then, now], dtype=np.float64)
         )
-        (old_origin, origin), (old_rotation, rotation) = chain.origins[-1].T, np.moveaxis(chain.rotations[-1], -1, 0)
+        number = MOUNT_LINKS.index(link)
+        old_origin, origin = chain.origins[number].T
+        old_rotation, rotation = np.moveaxis(chain.rotations[number], -1, 0)
         return [((cloud @ old_rotation.T + old_origin - origin) @ rotation).astype(np.float32) for cloud in clouds]
 
     def _get_image(self, world: World, steps: int, content: _ImageContent) -> CameraImage:
         """Return the image after `steps` physics steps with at least the given content, rendered if not yet known."""
         if self._last is not None and self._last[0] == steps and self._last[1] >= content:
             return self._last[2]
+        camera, noise, _ = drawn = self._draw_camera()
         # Noise at edges needs the whole image.
-        rendered = content if self._noise is None else max(content, _ImageContent.WHOLE)
-        image = self._render(world, color=content == _ImageContent.COLORED, content=rendered)
-        if self._noise is not None:
-            image = apply_camera_noise(image, self._noise, self._make_rng(image.depth, steps, _NOISE_STREAM))
+        rendered = content if noise is None else max(content, _ImageContent.WHOLE)
+        image = drawn.change_colors(self._render(world, content == _ImageContent.COLORED, rendered, camera))
+        if noise is not None:
+            # With a period, the noise is that of the image, not of the observation.
+            rng = self._make_rng(image.depth, self._history[0][0] if self._period > 1 else steps, _NOISE_STREAM)
+            image = apply_camera_noise(image, noise, rng, camera)
         self._last = (steps, content, image)
         return image
 
-    def _render(self, world: World, color: bool, content: _ImageContent) -> CameraImage:
+    def _draw_camera(self) -> CameraDraw:
+        """Return the camera of the current episode, which depends on the seed, the scene and the camera's name."""
+        if self._drawn is None:
+            self._drawn = CameraDraw(self._camera, self._config.noise, None)
+            if self._randomization is not None and self._scene is not None:
+                name = int.from_bytes(self._camera_config.name.encode(), "big")
+                rng = np.random.default_rng((self._seed, self._scene.info.scene_id, name))
+                self._drawn = self._randomization.draw(self._camera, self._config.noise, rng)
+        return self._drawn
+
+    def _render(self, world: World, color: bool, content: _ImageContent, camera: Pinhole) -> CameraImage:
         if self._scene is None:
             raise ResetNeededError("the episode has not started; call reset() first")
         if self._renderer is None:
             self._renderer = resolve_renderer(self._config.renderer, self._physics)
-        earlier = self._history[0] if self.has_latency else None
+        earlier = self._history[0][1] if self.has_latency else None
         if self._renderer == BULLET:
-            return world.render_wrist_camera(earlier, color)
+            return world.render_camera(earlier, color, camera)
         if self._ray_camera is None:
             # Imported here: ray casting needs an extra.
             from handover_marl.simulation.camera.ray_camera import RayCamera
@@ -297,8 +383,8 @@ class WristCamera:
             self._ray_camera = RayCamera(self._scene.assets, self._physics_config)
         snapshot = earlier or world.read_joint_snapshot()
         if content >= _ImageContent.WHOLE:
-            return self._ray_camera.render_wrist_camera(snapshot, color)
-        return self._ray_camera.render_targets(snapshot, with_others=content == _ImageContent.OBJECTS)
+            return self._ray_camera.render(snapshot, color, camera)
+        return self._ray_camera.render_targets(snapshot, content == _ImageContent.OBJECTS, camera)
 
     def _subsample(self, cloud: Cloud, steps: int, stream: int) -> Cloud:
         """Return `N_POINTS` points of a cloud (n, 3): a random subset in image order, or all of them and zeros."""

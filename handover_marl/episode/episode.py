@@ -1,4 +1,4 @@
-"""Episode of a handover: advances giver motion, simulated world, wrist camera and referee.
+"""Episode of a handover: advances giver motion, simulated world, cameras and referee.
 
 `SceneConfig` configures scenes and simulation, for environments and for evaluations.
 """
@@ -12,7 +12,14 @@ import numpy.typing as npt
 
 from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP, CameraConfig, WorldConfig
 from handover_marl.datasets.dataset import Scene
-from handover_marl.episode.camera_observations import BENCHMARK_CAMERA, CameraCapture, WristCamera, WristCameraConfig
+from handover_marl.episode.camera_observations import (
+    BENCHMARK_SENSORS,
+    WRIST_ONLY,
+    CameraCapture,
+    CameraSensor,
+    SensorConfig,
+    resolve_cameras,
+)
 from handover_marl.episode.giver_motion import NO_DEVIATION, PLANNED_STEPS, GiverMotion, requests_release
 from handover_marl.episode.observations import (
     Observation,
@@ -22,12 +29,13 @@ from handover_marl.episode.observations import (
 )
 from handover_marl.episode.referee import EpisodeStatus, Referee, RefereeState, ReleaseReason, make_judge
 from handover_marl.episode.spaces import STATE, has_camera
-from handover_marl.errors import ResetNeededError
+from handover_marl.errors import ResetNeededError, check_name
 from handover_marl.geometry.arrays import ONLY_ROW
 from handover_marl.geometry.model_files.meshes import check_collision_meshes
 from handover_marl.geometry.panda import PANDA
 from handover_marl.simulation.camera.noise import CameraNoise
 from handover_marl.simulation.camera.optics import HANDOVERSIM_MODEL
+from handover_marl.simulation.camera.randomization import CameraRandomization
 from handover_marl.simulation.engines import check_physics, make_world
 from handover_marl.simulation.world import Contacts, RolloutWorld, World
 
@@ -47,10 +55,13 @@ class SceneConfig:
         physics: Physics: exact (official results), fast (hand and objects are simulated only while the robot is near
             them), or mujoco (another engine).
         robot: Robot model: panda, or panda_camera with HandoverSim's depth camera on the gripper, which collides too.
-        renderer: Renderer of the wrist camera: bullet, rays, or auto (bullet in exact physics, else rays).
-        camera_model: Projection of the wrist camera's point clouds: handoversim (shifted by one pixel, as in the
+        renderer: Renderer of the cameras: bullet, rays, or auto (bullet in exact physics, else rays).
+        camera_model: Projection of the cameras' point clouds: handoversim (shifted by one pixel, as in the
             original) or pinhole.
-        camera_noise: Noise and latency of the wrist camera: default none, realsense, or in Python a `CameraNoise`.
+        camera_noise: Noise and latency of the cameras: default none, realsense, or in Python a `CameraNoise`.
+        cameras: Cameras of the observations, names (wrist, front, over_shoulder) or in Python also `CameraConfig`s.
+        camera_randomization: Random deviations of the cameras from their configuration, in Python a
+            `CameraRandomization`; default none.
         world_config: World and rules; published results exist only for the default.
     """
 
@@ -64,21 +75,27 @@ class SceneConfig:
     renderer: str = "auto"
     camera_model: str = HANDOVERSIM_MODEL
     camera_noise: str | CameraNoise | None = None
+    cameras: Iterable[str | CameraConfig] = WRIST_ONLY
+    camera_randomization: CameraRandomization | None = None
     world_config: WorldConfig = OFFICIAL_CONFIG
 
     def __post_init__(self) -> None:
         # Iterators can be read only once. Other types are reported by `choose_scenes`, where the split is known.
         if isinstance(self.scenes, Iterable):
             object.__setattr__(self, "scenes", tuple(self.scenes))
+        if isinstance(self.cameras, list):
+            object.__setattr__(self, "cameras", tuple(self.cameras))
 
     @property
-    def wrist_camera(self) -> WristCameraConfig:
-        """Configuration of the wrist camera.
+    def sensors(self) -> SensorConfig:
+        """Configuration of the cameras.
 
         Raises:
-            UnknownNameError, OptionError: Unknown camera model or noise.
+            UnknownNameError, OptionError: Unknown camera model, noise or camera.
         """
-        return WristCameraConfig(self.renderer, self.camera_model, self.camera_noise)
+        return SensorConfig(
+            self.renderer, self.camera_model, self.camera_noise, self.cameras, self.camera_randomization
+        )
 
 
 class Episode:
@@ -89,7 +106,7 @@ class Episode:
             robot is near them, "mujoco" is another engine.
         config: Simulated world, protocol and limits of the giver.
         window: Whether to show PyBullet's window.
-        wrist_camera: Configuration of the wrist camera, whose images are rendered only when they are observed.
+        sensors: Configuration of the cameras, whose images are rendered only when they are observed.
     """
 
     def __init__(
@@ -97,13 +114,14 @@ class Episode:
         physics: str = "exact",
         config: WorldConfig = OFFICIAL_CONFIG,
         window: bool = False,
-        wrist_camera: WristCameraConfig = BENCHMARK_CAMERA,
+        sensors: SensorConfig = BENCHMARK_SENSORS,
     ) -> None:
         check_physics(physics)
         self.config = config
         self._physics, self._window = physics, window
-        self._camera_config, self._camera_seed = wrist_camera, 0
-        self._wrist_camera: WristCamera | None = None
+        self._sensor_config, self._camera_seed = sensors, 0
+        # By the names of the cameras; empty before the first use.
+        self._sensors: dict[str, CameraSensor] = {}
         self._world: World | None = None
         self._scene: Scene | None = None
         self._motion = GiverMotion(1, config.giver)
@@ -131,11 +149,11 @@ class Episode:
         self._contacts = Contacts()
         self._world.reset(scene, self._motion.reset(0, scene), self.config.draw_initial_joints(seed))
         self._scene = scene
-        if self._wrist_camera is not None:
-            self._wrist_camera.reset(scene, self._world)
-        elif self._camera_config.camera_noise is not None:
-            # A camera with latency records every step.
-            self._get_wrist_camera()
+        for sensor in self._sensors.values():
+            sensor.reset(scene, self._world)
+        if self._sensor_config.has_latency:
+            # Cameras record every step.
+            self._get_sensors()
 
     def advance(
         self,
@@ -156,7 +174,7 @@ class Episode:
         world, motion, referee = self.world, self._motion, self._referee
         n_objects = len(self.scene.info.object_ids)
         target = robot_target.tolist()
-        camera = self._wrist_camera if self._wrist_camera is not None and self._wrist_camera.has_latency else None
+        sensors = [sensor for sensor in self._sensors.values() if sensor.has_latency]
         if requests_release(giver_action) and motion.holding[0] and not referee.released:
             referee.release_voluntarily()
             world.release_target()
@@ -168,10 +186,10 @@ class Episode:
             )
             world.set_reference(plan.reference.select(0, n_objects))
             steps -= planned
-            if isinstance(world, RolloutWorld) and not on_step and camera is None:
+            if isinstance(world, RolloutWorld) and not on_step and not sensors:
                 simulated = self._simulate_rollout(world, target, planned)
             else:
-                simulated = self._simulate_single_steps(world, target, planned, camera, on_step)
+                simulated = self._simulate_single_steps(world, target, planned, sensors, on_step)
             motion.commit(plan, np.array([simulated]))
 
     def _simulate_rollout(self, world: RolloutWorld, target: list[float], steps: int) -> int:
@@ -188,7 +206,7 @@ class Episode:
         world: World,
         target: list[float],
         steps: int,
-        camera: WristCamera | None,
+        sensors: Sequence[CameraSensor],
         on_step: Sequence[Callable[["Episode"], None]],
     ) -> int:
         """Simulate up to `steps` physics steps one after another; return the number of simulated steps."""
@@ -196,8 +214,8 @@ class Episode:
         while simulated < steps and not referee.status:
             world.step(target)
             simulated += 1
-            if camera is not None:
-                camera.record_snapshot(world)
+            for sensor in sensors:
+                sensor.record_snapshot(world, referee.steps + 1)
             was_released = referee.released
             self._contacts = world.read_contacts(was_released)
             referee.update(self._contacts)
@@ -237,17 +255,22 @@ class Episode:
         return {**state, **{key: values[0] for key, values in own.items()}}
 
     def seed_camera(self, seed: int) -> None:
-        """Seed the random draws of the wrist camera (noise and subsampling of point clouds)."""
+        """Seed the random draws of the cameras (noise and subsampling of point clouds)."""
         self._camera_seed = seed
-        if self._wrist_camera is not None:
-            self._wrist_camera.seed(seed)
+        for sensor in self._sensors.values():
+            sensor.seed(seed)
 
     def capture_wrist_camera(self) -> CameraCapture:
-        """Return depth, segmentation, colours and point clouds of the wrist camera at the current step."""
-        return self._get_wrist_camera().capture(self.world, self.steps)
+        """Return depth, segmentation, colours and point clouds of the wrist camera at the current step.
+
+        Raises:
+            UnknownNameError: There is no camera of the name "wrist".
+        """
+        check_name("camera", "wrist", self._get_sensors())
+        return self._get_sensors()["wrist"].capture(self.world, self.steps)
 
     def observe_camera(self, obs_mode: str) -> Observation:
-        """Return the wrist camera data of an observation mode by key, as `camera_observation_space` lists them.
+        """Return the camera data of an observation mode by key, as `camera_observation_space` lists them.
 
         Raises:
             OptionError: A package is missing that the renderer needs.
@@ -255,7 +278,10 @@ class Episode:
         """
         if not has_camera(obs_mode):
             return {}
-        return self._get_wrist_camera().observe(obs_mode, self.world, self.steps)
+        found: Observation = {}
+        for sensor in self._get_sensors().values():
+            found |= sensor.observe(obs_mode, self.world, self.steps)
+        return found
 
     def render(self, camera: CameraConfig) -> npt.NDArray[np.uint8]:
         """Return an RGB image (height, width, 3) uint8 of the current state of the simulation, seen by `camera`."""
@@ -313,11 +339,13 @@ class Episode:
             self._world.close()
         self._world = self._scene = None
 
-    def _get_wrist_camera(self) -> WristCamera:
-        """Return the wrist camera, which is created at its first use in an episode."""
-        world, scene = self.world, self.scene
-        if self._wrist_camera is None:
-            self._wrist_camera = WristCamera(self._camera_config, self._physics, self.config.physics)
-            self._wrist_camera.reset(scene, world)
-            self._wrist_camera.seed(self._camera_seed)
-        return self._wrist_camera
+    def _get_sensors(self) -> dict[str, CameraSensor]:
+        """Return the cameras by name, which are created at their first use in an episode."""
+        world, scene, config = self.world, self.scene, self._sensor_config
+        if not self._sensors:
+            names = [camera.name for camera in resolve_cameras(config.cameras)]
+            self._sensors = {name: CameraSensor(config, self._physics, self.config.physics, name) for name in names}
+            for sensor in self._sensors.values():
+                sensor.reset(scene, world)
+                sensor.seed(self._camera_seed)
+        return self._sensors

@@ -3,14 +3,23 @@
 World frame; m, rad, s; quaternions xyzw.
 """
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from handover_marl.config import HAND_DOF, MAX_OBJECTS, N_KEYPOINTS, OFFICIAL_CONFIG, PANDA_DOF, GiverConfig
-from handover_marl.episode.camera_observations import camera_observation_space
+from handover_marl.config import (
+    HAND_DOF,
+    MAX_OBJECTS,
+    N_KEYPOINTS,
+    OFFICIAL_CONFIG,
+    PANDA_DOF,
+    CameraConfig,
+    GiverConfig,
+)
+from handover_marl.episode.camera_observations import WRIST_ONLY, camera_observation_space
 from handover_marl.episode.giver_motion import GiverMotion
 from handover_marl.episode.spaces import STATE, has_state
 from handover_marl.geometry.arrays import AnyIndices, get_namespace
@@ -62,17 +71,22 @@ def state_space(largest_class: int = LARGEST_YCB_CLASS) -> spaces.Dict:
     )
 
 
-def receiver_observation_space(obs_mode: str = STATE, largest_class: int = LARGEST_YCB_CLASS) -> spaces.Dict:
+def receiver_observation_space(
+    obs_mode: str = STATE,
+    largest_class: int = LARGEST_YCB_CLASS,
+    cameras: Iterable[str | CameraConfig] = WRIST_ONLY,
+) -> spaces.Dict:
     """Return the receiver's observation space.
 
     Args:
-        obs_mode: Observation mode: state, wrist camera data, or both; see `camera_observation_space`.
+        obs_mode: Observation mode: state, camera data, or both; see `camera_observation_space`.
         largest_class: Largest class number of objects, 21 for YCB classes.
+        cameras: Names or configurations of the cameras.
 
     Raises:
-        UnknownNameError: There is no such observation mode.
+        UnknownNameError: There is no such observation mode or camera.
     """
-    camera = camera_observation_space(obs_mode)
+    camera = camera_observation_space(obs_mode, cameras)
     state = state_space(largest_class).spaces
     own = state if has_state(obs_mode) else {key: state[key] for key in PROPRIOCEPTION}
     return spaces.Dict({**own, **camera})
@@ -131,7 +145,7 @@ def select_receiver_observation(state: Observation, camera: Observation, obs_mod
 
     Args:
         state: The full state as `observe` returns it.
-        camera: The camera data of this mode as `WristCamera.observe` returns it.
+        camera: The camera data of this mode as `Episode.observe_camera` returns it.
         obs_mode: Observation mode; one without "state" keeps `PROPRIOCEPTION` of the
             state: joint positions and velocities of the robot, pose of its hand link, and time.
     """

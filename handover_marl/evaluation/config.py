@@ -162,7 +162,7 @@ def resolve_config(config: EvaluationConfig, trust: bool = False) -> tuple[Evalu
     scenes = choose_scenes(dataset.list_scenes(setup, config.split), config.scenes, f"{setup} {config.split}")
     resolved = {agent: policies[agent].resolve(dataset, config.world_config, setup) for agent in agents}
     if has_camera(resolved["receiver"].obs_mode):
-        resolve_renderer(config.wrist_camera.renderer, config.physics)
+        resolve_renderer(config.sensors.renderer, config.physics)
     dataset.check_scenes(scenes)
     config = replace(config, setup=setup, scenes=scenes, giver=resolved["giver"], receiver=resolved["receiver"])
     return set_dataset(config, dataset), dataset

@@ -69,7 +69,7 @@ class EpisodeRunner:
         arguments = self.dataset, config.world_config, config.setup
         self.receiver = receiver.make(*arguments)
         self.giver = None if giver.name == REPLAY else giver.make(*arguments)
-        self.episode = Episode(config.physics, config.world_config, wrist_camera=config.wrist_camera)
+        self.episode = Episode(config.physics, config.world_config, sensors=config.sensors)
         self._trace_recorder, self._action_recorder = TraceRecorder(), ActionRecorder()
         self._recorders = [writer.create_recorder(config, self.receiver) for writer in writers]
 

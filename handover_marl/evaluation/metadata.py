@@ -104,7 +104,7 @@ class ResultMetadata:
             world=format_world_label(config.world_config),
             wait_s="" if receiver.wait is None else f"{receiver.wait:g}",
             obs_mode=receiver.obs_mode,
-            camera=config.wrist_camera.describe(receiver.obs_mode, config.physics),
+            camera=config.sensors.describe(receiver.obs_mode, config.physics),
             recorded=recorded,
             shard=shard,
             missing_package="" if is_pybullet_installed() else "PyBullet",

@@ -92,7 +92,7 @@ def format_replay_facts(config: EvaluationConfig, models: str) -> str:
         models: Description of substitutes for HandoverSim's models; empty if there are none.
     """
     receiver, giver = require_policy_reference(config.receiver), require_policy_reference(config.giver)
-    camera = config.wrist_camera.describe(receiver.obs_mode, config.physics)
+    camera = config.sensors.describe(receiver.obs_mode, config.physics)
     observation = f" (obs_mode {receiver.obs_mode}, {camera})" if camera else ""
     parts = [
         format_dataset_title(config.dataset) + (f", {models}" if models else ""),

@@ -12,6 +12,8 @@ ROBOTS = (PANDA, PANDA_CAMERA)
 HAND_LINK = "panda_hand"
 CAMERA_LINK = "panda_hand_camera"
 FINGER_LINKS = ("panda_leftfinger", "panda_rightfinger")
+#: Links on which a camera can be mounted, along the chain.
+MOUNT_LINKS = (*(f"panda_link{number}" for number in range(1, 8)), HAND_LINK)
 
 #: Pose (7,) of the camera link in the hand link, xyz and quaternion.
 HAND_FROM_CAMERA_LINK = (0.036, 0.0, 0.036, -0.5, 0.5, -0.5, 0.5)

@@ -20,6 +20,7 @@ from handover_marl.datasets.dataset import Scene
 from handover_marl.errors import ResetNeededError
 from handover_marl.geometry.arrays import AnyArray, AnyIndices, ArrayFactory, get_namespace, make_constant
 from handover_marl.simulation.camera.images import CameraImage, JointSnapshot
+from handover_marl.simulation.camera.optics import WRIST_CAMERA, Pinhole
 from handover_marl.simulation.camera.renderers import check_rendering
 from handover_marl.simulation.reference_tracking import ReferenceMotion
 
@@ -264,14 +265,15 @@ class World(ABC):
         """Render the current world state as an RGB image (height, width, 3), uint8, with PyBullet's renderer."""
         return self._get_scene_renderer().render_overview(self.read_joint_snapshot(), camera)
 
-    def render_wrist_camera(self, snapshot: JointSnapshot | None, color: bool) -> CameraImage:
-        """Render an image of the wrist camera with PyBullet's renderer, whichever engine simulates.
+    def render_camera(self, snapshot: JointSnapshot | None, color: bool, camera: Pinhole = WRIST_CAMERA) -> CameraImage:
+        """Render an image of a camera with PyBullet's renderer, whichever engine simulates.
 
         Args:
             snapshot: Earlier state of the same scene to render; None is the current state.
             color: Whether to render colors.
+            camera: The camera; default: HandoverSim's wrist camera.
         """
-        return self._get_scene_renderer().render_wrist_camera(snapshot or self.read_joint_snapshot(), color)
+        return self._get_scene_renderer().render(snapshot or self.read_joint_snapshot(), color, camera)
 
     def close(self) -> None:
         """Free the memory of the simulation."""

@@ -31,7 +31,7 @@ from handover_marl.geometry.poses import transform_points
 from handover_marl.planning.hand_tracker import hand_capsules_from_observation
 from handover_marl.planning.planner import Plan
 from handover_marl.simulation.camera.images import LABEL_COLORS, SegmentationLabel
-from handover_marl.simulation.camera.optics import FAR
+from handover_marl.simulation.camera.optics import WRIST_CAMERA
 
 Picture = npt.NDArray[np.uint8]
 Array = npt.NDArray[np.float64]
@@ -181,7 +181,7 @@ def draw_wrist_view(episode: Episode, camera: CameraConfig) -> Picture:
         camera: Outside camera.
     """
     frame = episode.capture_wrist_camera()
-    depth = np.clip(255.0 * (1.0 - frame.depth / FAR), 0.0, 255.0).astype(np.uint8)
+    depth = np.clip(255.0 * (1.0 - frame.depth / WRIST_CAMERA.far), 0.0, 255.0).astype(np.uint8)
     images = (frame.rgb, np.stack([depth] * 3, axis=-1), _PALETTE[frame.segmentation])
     side = camera.width // len(images)
     strip = np.full((side, camera.width, 3), 255, dtype=np.uint8)

@@ -13,8 +13,8 @@ from handover_marl.datasets import open_dataset
 from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.camera_observations import (
     CameraCapture,
-    WristCamera,
-    WristCameraConfig,
+    CameraSensor,
+    SensorConfig,
     camera_observation_space,
 )
 from handover_marl.episode.episode import Episode
@@ -57,9 +57,9 @@ def world() -> Iterator[World]:
     episode.close()
 
 
-def make_wrist_camera(world: World, seed: int = 0, **options: Any) -> WristCamera:
+def make_wrist_camera(world: World, seed: int = 0, **options: Any) -> CameraSensor:
     """Return a seeded camera that has been reset as at the start of an episode."""
-    wrist_camera = WristCamera(WristCameraConfig(**{"renderer": "rays", **options}), "fast", OFFICIAL_CONFIG.physics)
+    wrist_camera = CameraSensor(SensorConfig(**{"renderer": "rays", **options}), "fast", OFFICIAL_CONFIG.physics)
     wrist_camera.reset(SCENE, world)
     wrist_camera.seed(seed)
     return wrist_camera
@@ -130,9 +130,7 @@ def test_a_combination_has_what_its_parts_have(world: World) -> None:
 def test_clouds_and_images_of_a_frame_agree(world: World, camera_model: str) -> None:
     """Images equal the ray caster's, and points equal those deprojected from depth and segmentation, row by row."""
     view = make_wrist_camera(world, camera_model=camera_model).capture(world, STEPS)
-    expected = RayCamera(SCENE.assets, OFFICIAL_CONFIG.physics).render_wrist_camera(
-        world.read_joint_snapshot(), color=True
-    )
+    expected = RayCamera(SCENE.assets, OFFICIAL_CONFIG.physics).render(world.read_joint_snapshot(), color=True)
     np.testing.assert_array_equal(view.depth, expected.depth)
     np.testing.assert_array_equal(view.segmentation, expected.segmentation)
     np.testing.assert_array_equal(view.rgb, expected.rgb)
@@ -187,7 +185,7 @@ def make_image(item: int, hand: int) -> CameraImage:
 
 @pytest.mark.parametrize(("item", "hand"), [(0, 0), (1, 1023), (1024, 1025), (1025, 1024), (20_000, 5000)])
 def test_point_counts_near_1024(monkeypatch: pytest.MonkeyPatch, world: World, item: int, hand: int) -> None:
-    monkeypatch.setattr(WristCamera, "_render", lambda *_, **__: make_image(item, hand))
+    monkeypatch.setattr(CameraSensor, "_render", lambda *_, **__: make_image(item, hand))
     wrist_camera = make_wrist_camera(world)
     seen, view = wrist_camera.observe(POINTCLOUD, world, STEPS), wrist_camera.capture(world, STEPS)
     assert seen[COUNTS].tolist() == [item, hand]
@@ -202,7 +200,7 @@ def test_point_counts_near_1024(monkeypatch: pytest.MonkeyPatch, world: World, i
 # ------------------------------------------------------------------------------------ independence of earlier images
 
 
-LOOKS: list[Callable[[WristCamera, World], object]] = [
+LOOKS: list[Callable[[CameraSensor, World], object]] = [
     lambda wrist_camera, world: None,
     lambda wrist_camera, world: wrist_camera.capture(world, STEPS),
     lambda wrist_camera, world: wrist_camera.observe(POINTCLOUD, world, STEPS),
@@ -242,7 +240,7 @@ def test_draws_repeat_from_seed_and_step(world: World, camera: CameraNoise | Non
         np.testing.assert_array_equal(wrist_camera.observe(POINTCLOUD, world, STEPS)[OBJECT], drawn(seed, STEPS))
     wrist_camera.seed(0)
     assert_equal(wrist_camera.observe(POINTCLOUD, world, STEPS), first)
-    unseeded = WristCamera(WristCameraConfig(renderer="rays", camera_noise=camera), "fast", OFFICIAL_CONFIG.physics)
+    unseeded = CameraSensor(SensorConfig(renderer="rays", camera_noise=camera), "fast", OFFICIAL_CONFIG.physics)
     unseeded.reset(SCENE, world)
     assert_equal(unseeded.observe(POINTCLOUD, world, STEPS), first)
 
@@ -277,7 +275,7 @@ class Diary:
     """Callback that records the images of a camera without noise at the start and at the steps in `wanted`."""
 
     def __init__(self, episode: Episode, renderer: str, physics: str, scene: Scene) -> None:
-        self._sight = WristCamera(WristCameraConfig(renderer=renderer), physics, OFFICIAL_CONFIG.physics)
+        self._sight = CameraSensor(SensorConfig(renderer=renderer), physics, OFFICIAL_CONFIG.physics)
         self._sight.reset(scene, episode.world)
         self.views = {0: self._sight.capture(episode.world, 0)}
         self.links = {0: episode.observe()["gripper_pose"]}
@@ -305,7 +303,7 @@ class Diary:
 @pytest.mark.slow
 def test_late_images_are_those_of_earlier_steps() -> None:
     delay, chunk, noise = 130, 50, CameraNoise(depth_noise_std=0.0, edge_dropout=0.0, latency=0.13)
-    episode = Episode("fast", wrist_camera=WristCameraConfig(renderer="rays", camera_noise=noise))
+    episode = Episode("fast", sensors=SensorConfig(renderer="rays", camera_noise=noise))
     for scene in (SCENE, OTHER):
         # No image of the previous scene must be left.
         episode.reset(scene)

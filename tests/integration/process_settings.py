@@ -68,7 +68,7 @@ def play(reference: str, giver: str, physics: str) -> str:
     # Imported only here, as by a program that changes settings first.
     from handover_marl import givers, receivers
     from handover_marl.datasets import open_dataset
-    from handover_marl.episode.camera_observations import WristCameraConfig
+    from handover_marl.episode.camera_observations import SensorConfig
     from handover_marl.episode.episode import Episode
     from handover_marl.episode.loop import ActionRecorder, run_episode
     from handover_marl.geometry.panda import PANDA, PANDA_CAMERA
@@ -78,7 +78,7 @@ def play(reference: str, giver: str, physics: str) -> str:
     dataset = open_dataset("synthetic", robot=robot)
     receiver, recorder = make_receiver(reference, dataset), ActionRecorder()
     assert receivers.list_available()
-    episode = Episode(physics, wrist_camera=WristCameraConfig("rays" if physics != "exact" else "bullet"))
+    episode = Episode(physics, sensors=SensorConfig("rays" if physics != "exact" else "bullet"))
     episode.reset(dataset.load_scene(SCENE))
     run_episode(episode, receiver, givers.make(giver, dataset), seed=1, until=STEPS, callbacks=[recorder])
     digest = hashlib.sha256(recorder.actions.tobytes())

@@ -12,7 +12,7 @@ from handover_marl import givers, receivers
 from handover_marl.config import OFFICIAL_CONFIG
 from handover_marl.datasets import open_dataset
 from handover_marl.datasets.dataset import Dataset, Scene
-from handover_marl.episode.camera_observations import WristCameraConfig
+from handover_marl.episode.camera_observations import SensorConfig
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.giver_motion import NO_DEVIATION
 from handover_marl.episode.loop import run_episode
@@ -177,7 +177,7 @@ def test_receivers_do_not_know_motion_that_is_still_to_come(reference: str) -> N
     robot = PANDA_CAMERA if reference.startswith(("gaddpg", "vision")) else PANDA
     dataset = open_dataset("synthetic", robot=robot)
     receiver, scene = Recorder(make_receiver(reference, dataset)), start_late(dataset.load_scene(SCENE))
-    episode = Episode("fast", wrist_camera=WristCameraConfig("rays"))
+    episode = Episode("fast", sensors=SensorConfig("rays"))
     rng = np.random.default_rng(0)
     end = 600 if reference.startswith("omg") else 1000
     episode.reset(scene)

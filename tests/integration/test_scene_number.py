@@ -8,7 +8,7 @@ from handover_marl.config import WorldConfig
 from handover_marl.datasets import open_dataset
 from handover_marl.datasets.dataset import Scene
 from handover_marl.episode import camera_observations
-from handover_marl.episode.camera_observations import WristCameraConfig
+from handover_marl.episode.camera_observations import SensorConfig
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import derive_robot_seed, run_episode
 from handover_marl.episode.spaces import OBS_PARTS
@@ -46,7 +46,7 @@ def test_receivers_do_not_depend_on_the_scene_number(monkeypatch: pytest.MonkeyP
     # Few points, so that all clouds are subsampled.
     monkeypatch.setattr(camera_observations, "N_POINTS", 512)
     receiver = Recorder(make_receiver(reference, DATA))
-    episode = Episode("fast", NOISY_START, wrist_camera=WristCameraConfig("rays"))
+    episode = Episode("fast", NOISY_START, sensors=SensorConfig("rays"))
     start(episode, SCENE, receiver, 300)
     events = receiver.events
     start(episode, rename(SCENE, 777), receiver, 300)
@@ -59,7 +59,7 @@ def test_receivers_do_not_depend_on_the_scene_number(monkeypatch: pytest.MonkeyP
 @pytest.mark.parametrize("renderer", RENDERERS)
 def test_observations_do_not_depend_on_the_scene_number(renderer: str, noise: str | None) -> None:
     config = WorldConfig() if noise is None else NOISY_START
-    episode, seen = Episode("fast", config, wrist_camera=WristCameraConfig(renderer, camera_noise=noise)), []
+    episode, seen = Episode("fast", config, sensors=SensorConfig(renderer, camera_noise=noise)), []
     for scene in (SCENE, rename(SCENE, 777)):
         start(episode, scene, make_receiver("hold", DATA), 1)
         seen.append([{**episode.observe(), **episode.observe_camera(obs_mode)} for obs_mode in OBS_PARTS])

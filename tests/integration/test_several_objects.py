@@ -118,7 +118,7 @@ def test_the_wrist_camera_separates_them(several_objects: OfficialDataset) -> No
     episode = Episode("exact", replace(OFFICIAL_CONFIG, physics=physics))
     episode.reset(scene)
     view = episode.capture_wrist_camera()
-    cast = RayCamera(scene.assets, physics).render_wrist_camera(episode.world.read_joint_snapshot(), color=False)
+    cast = RayCamera(scene.assets, physics).render(episode.world.read_joint_snapshot(), color=False)
     episode.close()
     is_other = view.segmentation == SegmentationLabel.OTHER_OBJECT
     assert is_other.sum() > 300

@@ -121,8 +121,8 @@ def test_division_of_steps_and_images_change_nothing(physics: str, episodes: lis
                 left -= min(size, left)
                 if is_watched and left % 400 == 0:
                     assert episode.render(camera).std() > 10.0
-                    assert episode.world.render_wrist_camera(None, True).segmentation.any()
-                    episode.world.render_wrist_camera(earlier, False)
+                    assert episode.world.render_camera(None, True).segmentation.any()
+                    episode.world.render_camera(earlier, False)
             states.append(np.concatenate([episode.world.read_joints_float64(), *episode.world.read_object_joints()]))
         assert episode.status == EpisodeStatus.HUMAN_CONTACT
         assert episode.steps == pytest.approx(680, abs=5), "all engines find the contact"

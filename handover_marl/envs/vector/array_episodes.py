@@ -18,7 +18,7 @@ from handover_marl.episode.loop import derive_giver_seed, derive_receiver_seed
 from handover_marl.episode.observations import Observation, select_receiver_observation
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.episode.spaces import STATE, check_giver_action, check_receiver_action, check_vector
-from handover_marl.episode.warp_wrist_camera import WarpWristCamera
+from handover_marl.episode.warp_sensors import WarpSensors
 from handover_marl.geometry.arrays import AnyArray, AnyIndices, AnyIntegers, get_namespace, to_numpy
 from handover_marl.learning.action_scheme import ArrayScheme
 from handover_marl.learning.array_features import ArrayFeatures
@@ -70,12 +70,10 @@ class ArrayEpisodes:
         self._schemes: dict[str, ArrayScheme] = {}
         if isinstance(template, EncodedEnv):
             self._make_encodings(template, count)
-        self._camera: WarpWristCamera | None = None
+        self._camera: WarpSensors | None = None
         is_camera_used = RECEIVER not in self._features or self._features[RECEIVER].uses_camera
         if config.obs_mode != STATE and RECEIVER in self._agents and is_camera_used:
-            self._camera = WarpWristCamera(
-                config.obs_mode, config.wrist_camera, config.world_config.physics, count, arrays
-            )
+            self._camera = WarpSensors(config.obs_mode, config.sensors, config.world_config.physics, count, arrays)
 
     def _make_encodings(self, template: EncodedEnv, count: int) -> None:
         context, arrays = self._base.policy_context, self.arrays
@@ -230,6 +228,9 @@ class ArrayEpisodes:
             )
             terms = self._rewards.make_infos(agent, rows, self._has_returns)
             result.infos[agent] = {**self._episodes.make_infos(rows), **terms}
+            if agent == RECEIVER:
+                for key, matrix in self._base.calibration.items():
+                    result.infos[agent][key] = self.arrays.asarray(np.repeat(matrix[None], len(rows), axis=0))
             result.rewards[agent] = self._rewards.totals[agent][rows]
             result.terminated[agent], result.truncated[agent] = self._terminated[rows], self._truncated[rows]
         return result

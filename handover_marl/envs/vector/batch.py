@@ -108,10 +108,11 @@ def _merge(count: int, row_values: list[tuple[AnyArray, Any]]) -> Any:
 
 
 def mask_infos(infos: Mapping[str, AnyArray], mask: Flags, arrays: ArrayFactory) -> dict[str, AnyArray]:
-    """Return infos (n,) in Gymnasium's form: KEY with zeros outside `mask` (n,), and `_KEY` with the mask."""
+    """Return infos (n, ...) in Gymnasium's form: KEY with zeros outside `mask` (n,), and `_KEY` with the mask."""
     masked, xp, chosen, is_complete = {}, arrays.xp, arrays.asarray(mask), mask.all()
     for key, values in infos.items():
-        masked[key] = xp.asarray(values, copy=True) if is_complete else xp.where(chosen, values, xp.zeros_like(values))
+        own = xp.reshape(chosen, (-1, *[1] * (values.ndim - 1)))
+        masked[key] = xp.asarray(values, copy=True) if is_complete else xp.where(own, values, xp.zeros_like(values))
         masked[f"_{key}"] = xp.asarray(chosen, copy=True)
     return masked
 

@@ -7,6 +7,7 @@ from gymnasium.vector.utils import batch_space
 
 from handover_marl.envs.vector.batch import EnvBatch, EnvResult
 from handover_marl.envs.wrappers.wrapper import ByAgent, WrappableEnv
+from handover_marl.simulation.camera.optics import CameraInfo
 
 
 class ParallelVectorEnv:
@@ -96,6 +97,11 @@ class ParallelVectorEnv:
             ResetNeededError: There was no reset, or an episode has ended and autoreset is "disabled".
         """
         return self._batch.step(actions)
+
+    def camera_info(self) -> dict[str, CameraInfo]:
+        """Return size, intrinsics and pose of each camera by name, the same in all environments and episodes."""
+        found: dict[str, CameraInfo] = self._template.unwrapped.camera_info()
+        return found
 
     def close(self) -> None:
         """Free the simulations of all environments."""

@@ -22,6 +22,7 @@ from handover_marl.errors import OptionError, check_name
 from handover_marl.execution.options import count_available_cores, forward_signature
 from handover_marl.learning.custom_encodings import FeaturesLike, SchemeLike
 from handover_marl.policies.reference import PolicyLike
+from handover_marl.simulation.camera.optics import CameraInfo
 from handover_marl.simulation.engines import CPU, MUJOCO, THREADS, WARP, BatchBackend, check_backend
 
 AUTORESETS = tuple(mode.name.lower() for mode in AutoresetMode)
@@ -57,7 +58,7 @@ class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
     def __init__(self, batch: EnvBatch, template: WrappableEnv) -> None:
         agents: list[str] = list(template.possible_agents)
         (self._agent,) = agents
-        self._batch = batch
+        self._batch, self._template = batch, template
         self.scene_ids: tuple[int, ...] = template.unwrapped.scene_ids
         self.num_envs, self.render_mode = batch.num_envs, template.render_mode
         self.autoreset_mode = batch.autoreset
@@ -108,6 +109,11 @@ class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
             part[self._agent] for part in self._batch.step({self._agent: actions})
         )
         return observations, rewards, terminated, truncated, infos
+
+    def camera_info(self) -> dict[str, CameraInfo]:
+        """Return size, intrinsics and pose of each camera by name, the same in all environments and episodes."""
+        found: dict[str, CameraInfo] = self._template.unwrapped.camera_info()
+        return found
 
     def render(self) -> tuple[Any, ...] | None:
         """Return the RGB image (height, width, 3) of each environment; None unless `render_mode` is "rgb_array"."""

@@ -12,6 +12,7 @@ from pettingzoo.utils.wrappers import BaseParallelWrapper
 
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.errors import OptionError, check_name
+from handover_marl.simulation.camera.optics import CameraInfo
 
 #: Key of the sum of all reward terms in infos.
 RETURN = "return"
@@ -215,6 +216,10 @@ class SingleAgentEnv(gymnasium.Env[Any, Any], EzPickle):
         observations, rewards, terminations, truncations, infos = self.env.step({self.agent: action})
         agent = self.agent
         return observations[agent], rewards[agent], terminations[agent], truncations[agent], infos[agent]
+
+    def camera_info(self) -> dict[str, CameraInfo]:
+        """Return size, intrinsics and pose of each camera by name, as `HandoverEnv.camera_info`."""
+        return self.env.unwrapped.camera_info()
 
     def render(self) -> Any:
         """Return an RGB image (height, width, 3) in the mode "rgb_array", else None."""

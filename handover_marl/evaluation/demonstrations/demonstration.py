@@ -4,8 +4,8 @@ import json
 import operator
 import os
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from handover_marl.config import PANDA_DOF
+from handover_marl.config import PANDA_DOF, CameraConfig
+from handover_marl.episode.camera_observations import WRIST_ONLY
 from handover_marl.episode.giver_motion import NO_DEVIATION
 from handover_marl.episode.observations import Observation, receiver_observation_space
 from handover_marl.episode.spaces import receiver_action_space
@@ -31,6 +32,7 @@ from handover_marl.evaluation.results import (
 from handover_marl.execution.files import encode_arrays
 from handover_marl.execution.options import check_path
 from handover_marl.execution.reading import read_arrays, read_plain_file, report_damage
+from handover_marl.simulation.camera.optics import CameraInfo, make_camera_info
 from handover_marl.version import __version__
 
 # Values of the metadata, and values in place of unknown ones.
@@ -116,6 +118,17 @@ def describe_demonstration(result: EpisodeResult, config: EvaluationConfig) -> d
     return {key: _UNKNOWN.get(key, "") if values[key] is None else values[key] for key in _METADATA_KEYS}
 
 
+def describe_camera(camera: CameraConfig) -> dict[str, Any]:
+    """Return the configuration of a camera as numbers and texts by key, with its matrices K and extrinsics as lists."""
+    info = make_camera_info(camera)
+    return {**asdict(camera), "K": info.K.tolist(), "extrinsics": info.extrinsics.tolist()}
+
+
+def _read_camera(values: Mapping[str, Any]) -> CameraConfig:
+    own: dict[str, Any] = {key: value for key, value in values.items() if key not in ("K", "extrinsics")}
+    return CameraConfig(**own)
+
+
 def encode_demonstration(demonstration: Demonstration) -> bytes:
     """Return the content of the episode's `.npz` file; equal episodes have equal content."""
     observations = sorted(demonstration.observations.items())
@@ -166,11 +179,18 @@ class Demonstrations:
             )
         with report_damage(path, *_KIND_AND_ADVICE):
             content = json.loads(read_plain_file(path, _MAX_METADATA_BYTES))
-            self.observation_space = receiver_observation_space(content["obs_mode"], content["largest_class"])
+            cameras = [_read_camera(values) for values in content.get("cameras", [])]
+            # Version 0.8.0 recorded the wrist camera only, and did not describe it.
+            space = receiver_observation_space(content["obs_mode"], content["largest_class"], cameras or WRIST_ONLY)
+            self.observation_space, self._cameras = space, cameras
             self.fps: int | None = content["fps"]
         self.action_space: spaces.Box = receiver_action_space()
         self.evaluation: ResultMetadata = read_result_metadata(self.folder)
         self._paths = list(find_numbered(path.parent, ".npz").values())
+
+    def camera_info(self) -> dict[str, CameraInfo]:
+        """Return size, intrinsics K (3, 3) and pose (4, 4) of each recorded camera by name."""
+        return {camera.name: make_camera_info(camera) for camera in self._cameras}
 
     def __len__(self) -> int:
         """Return the number of episodes."""

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.config import TIME_STEP
+from handover_marl.episode.camera_observations import resolve_cameras
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import EpisodeCallback, PolicyDecision
 from handover_marl.episode.observations import Observation, select_receiver_observation
@@ -20,6 +21,7 @@ from handover_marl.evaluation.config import REPLAY, EvaluationConfig, ExecutionC
 from handover_marl.evaluation.demonstrations.demonstration import (
     Demonstration,
     Demonstrations,
+    describe_camera,
     describe_demonstration,
     encode_demonstration,
     hold_actions,
@@ -66,7 +68,7 @@ def demonstrate(
         split: "train"; other splits are not allowed.
         receiver: The policy to record, as for `benchmark`.
         giver: The person's policy, as for `evaluate_pair`.
-        obs_mode: Recorded observation, independent of the receiver's own mode: "state", or wrist camera
+        obs_mode: Recorded observation, independent of the receiver's own mode: "state", or camera
             data such as "pointcloud" or "state+rgbd".
         keep: Episodes to record: "all", with their outcome, or only those that end in "success".
         fps: Frames per second, 1 to 1000, to record a constant rate; default: every decision of the receiver,
@@ -92,8 +94,8 @@ def demonstrate(
     if execution.folder is None:
         raise OptionError("demonstrations need an output folder; pass out= (--out DIR)")
     if has_camera(obs_mode):
-        resolve_renderer(config.wrist_camera.renderer, config.physics)
-    camera = config.wrist_camera.describe(obs_mode, config.physics)
+        resolve_renderer(config.sensors.renderer, config.physics)
+    camera = config.sensors.describe(obs_mode, config.physics)
     recorded = ["demonstrations", f"{fps} fps" if fps else "", f"obs_mode {obs_mode}", camera]
     make_writer = functools.partial(DemonstrationWriter, obs_mode=obs_mode, keep=keep, fps=fps)
     run_evaluations([("", config)], execution, ", ".join(filter(None, recorded)), make_writer)
@@ -187,7 +189,9 @@ class DemonstrationWriter(EpisodeWriter):
         super().__init__(folder / DEMONSTRATIONS)
         self._config, self._keep, self._obs_mode, self._fps = config, keep, obs_mode, fps
         largest_class = max(config.open_dataset().object_names)
-        description = {"obs_mode": obs_mode, "fps": fps, "largest_class": largest_class}
+        description: dict[str, Any] = {"obs_mode": obs_mode, "fps": fps, "largest_class": largest_class}
+        if has_camera(obs_mode):
+            description["cameras"] = [describe_camera(camera) for camera in resolve_cameras(config.cameras)]
         write_atomically(self.path / DEMONSTRATIONS_METADATA, json.dumps(description) + "\n")
 
     def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:

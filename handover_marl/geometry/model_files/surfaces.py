@@ -4,6 +4,7 @@ A shape has the colour of its URDF material, multiplied with the first texture t
 all other values of these materials are ignored. The last definition of a material's name counts in the whole model.
 """
 
+import functools
 import io
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -43,12 +44,27 @@ class Surface:
 
     def sample(self, faces: npt.NDArray[np.integer], weights: Array) -> Texture:
         """Return the colours (n, 3) of a point on each triangle `faces` (n,), by the weights (n, 2) of corners 2, 3."""
-        first, *size = self.textures[faces].T
-        corners = self.corners[faces]
-        place = corners[:, 0] + np.einsum("nk,nkj->nj", weights, corners[:, 1:] - corners[:, :1])
-        size = np.stack(size, axis=-1)
-        column, row = np.minimum(((place - np.floor(place)) * size).astype(np.int64), size - 1).T
-        return np.asarray(self.texels[first + row * size[:, 0] + column])
+        # `take` is several times as fast as indexing of rows.
+        first, width, height = self.textures.take(faces, axis=0).T
+        if self._is_plain:
+            return np.asarray(self.texels.take(first, axis=0))
+        origin, one, other = (self._places[corner].take(faces, axis=0) for corner in range(3))
+        place = origin + (weights[:, :1] * one + weights[:, 1:] * other)
+        place -= np.floor(place)
+        column = np.minimum((place[:, 0] * width).astype(np.int64), width - 1)
+        row = np.minimum((place[:, 1] * height).astype(np.int64), height - 1)
+        return np.asarray(self.texels.take(first + row * width + column, axis=0))
+
+    @functools.cached_property
+    def _places(self) -> tuple[Array, Array, Array]:
+        """Position (f, 2) of the first corner of each triangle, and the vectors from it to the others."""
+        first, *others = (np.ascontiguousarray(self.corners[:, corner]) for corner in range(3))
+        return first, others[0] - first, others[1] - first
+
+    @functools.cached_property
+    def _is_plain(self) -> bool:
+        """Whether every texture is a single texel."""
+        return bool((self.textures[:, 1:] == 1).all())
 
 
 def read_surfaces(urdf: Path, tree: KinematicTree, without: Collection[str] = ()) -> list[Surface]:

@@ -1,9 +1,10 @@
-"""Images of overview cameras and of the wrist camera by PyBullet's software renderer.
+"""Images of overview cameras and of observation cameras by PyBullet's software renderer.
 
 The images are the same with and without a screen or graphics driver. Images of the wrist camera equal HandoverSim's
 bit for bit.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -11,26 +12,33 @@ import numpy.typing as npt
 
 from handover_marl.config import OBJECT_DOF, CameraConfig, PhysicsConfig
 from handover_marl.datasets.dataset import Scene
-from handover_marl.geometry.rotations import multiply_quaternions
+from handover_marl.geometry.poses import IDENTITY
+from handover_marl.geometry.rotations import matrices_from_quaternions, multiply_quaternions
 from handover_marl.simulation.bullet.bodies import (
     HandBody,
     ObjectBody,
+    PandaBody,
     Workcell,
     compute_object_masks,
     load_workcell,
 )
 from handover_marl.simulation.bullet.client import BulletClient, connect
 from handover_marl.simulation.camera.images import CameraImage, JointSnapshot, SegmentationLabel
-from handover_marl.simulation.camera.optics import FAR, FIELD_OF_VIEW, IMAGE_SIZE, NEAR, depth_from_buffer
+from handover_marl.simulation.camera.optics import SAMPLE_OFFSET_PX, WRIST_CAMERA, Pinhole, depth_from_buffer
 
 # Rotation from the renderer's view (along negative z, y up) to the camera's URDF link, with HandoverSim's rounding.
 _LINK_FROM_VIEW = np.array([-4.3297803e-17, -0.70710677, -0.70710677, 4.3297803e-17], dtype=np.float32)
 
 
-def render_wrist_camera(
-    client: BulletClient, workcell: Workcell, objects: Sequence[ObjectBody], hand: HandBody | None, color: bool
+def render_camera(
+    client: BulletClient,
+    workcell: Workcell,
+    objects: Sequence[ObjectBody],
+    hand: HandBody | None,
+    color: bool,
+    camera: Pinhole,
 ) -> CameraImage:
-    """Render an image of the wrist camera in the current state of a physics client.
+    """Render an image of a camera in the current state of a physics client.
 
     Args:
         client: Physics client.
@@ -38,6 +46,7 @@ def render_wrist_camera(
         objects: Objects, the target first.
         hand: Human hand, if there is one.
         color: Whether to render colours.
+        camera: The camera.
     """
     panda = workcell.panda
     labels = {
@@ -50,20 +59,23 @@ def render_wrist_camera(
     # The camera's housing is nearer than the near plane; hiding it saves most of the rendering time.
     with panda.hide_camera_link():
         width, height, pixels, buffer, numbers = client.getCameraImage(
-            IMAGE_SIZE,
-            IMAGE_SIZE,
-            viewMatrix=_compute_view_matrix(client, panda.read_camera_pose()),
-            projectionMatrix=client.computeProjectionMatrixFOV(FIELD_OF_VIEW, 1.0, NEAR, FAR),
+            camera.width,
+            camera.height,
+            viewMatrix=_compute_view_matrix(client, panda, camera),
+            projectionMatrix=_compute_projection_matrix(client, camera),
             renderer=client.ER_TINY_RENDERER,
             # PyBullet's defaults, which would be those of an overview camera after it has rendered an image.
             shadow=0,
             lightDirection=(-50.0, 30.0, 100.0),
         )
     shape = (height, width)
+    numbers = np.asarray(numbers).reshape(shape)
+    depth = depth_from_buffer(np.array(buffer, dtype=np.float32).reshape(shape), camera)
     rgba = np.asarray(pixels, dtype=np.uint8).reshape(*shape, 4) if color else None
+    depth[numbers < 0] = camera.empty_depth
     return CameraImage(
-        depth=depth_from_buffer(np.array(buffer, dtype=np.float32).reshape(shape)),
-        segmentation=_label_pixels(np.asarray(numbers).reshape(shape), labels),
+        depth=depth,
+        segmentation=_label_pixels(numbers, labels),
         rgb=None if rgba is None else rgba[..., :3].copy(),
     )
 
@@ -77,7 +89,31 @@ def _label_pixels(numbers: npt.NDArray[np.int32], labels: Mapping[int, Segmentat
     return segmentation
 
 
-def _compute_view_matrix(client: BulletClient, world_from_link: npt.NDArray[np.float32]) -> list[float]:
+def _compute_projection_matrix(client: BulletClient, camera: Pinhole) -> list[float]:
+    """Return a camera's OpenGL projection matrix, column by column."""
+    (fx, fy), width, height = camera.focal, camera.width, camera.height
+    fov, aspect = math.degrees(2.0 * math.atan(height / 2.0 / fy)), (width / fx) / (height / fy)
+    matrix = list(client.computeProjectionMatrixFOV(fov, aspect, camera.near, camera.far))
+    # Distance of the principal point from where the renderer has it.
+    right, down = (
+        at - side / 2.0 + by for at, side, by in zip(camera.principal, (width, height), SAMPLE_OFFSET_PX, strict=True)
+    )
+    matrix[8], matrix[9] = matrix[8] - 2.0 * right / width, matrix[9] + 2.0 * down / height
+    return matrix
+
+
+def _compute_view_matrix(client: BulletClient, panda: PandaBody, camera: Pinhole) -> list[float]:
+    """Return a camera's OpenGL view matrix, column by column."""
+    if (camera.link, camera.position, camera.axes) == (WRIST_CAMERA.link, WRIST_CAMERA.position, WRIST_CAMERA.axes):
+        return _compute_wrist_view_matrix(client, panda.read_camera_pose())
+    pose = panda.read_link_poses([panda.get_link(camera.link)])[0] if camera.link else IDENTITY
+    link = matrices_from_quaternions(pose[3:].astype(np.float64))
+    axes, matrix = link @ np.array(camera.axes) * (1.0, -1.0, -1.0), np.eye(4)
+    matrix[:3, :3], matrix[3, :3] = axes, -(pose[:3] + link @ np.array(camera.position)) @ axes
+    return list(matrix.ravel().tolist())
+
+
+def _compute_wrist_view_matrix(client: BulletClient, world_from_link: npt.NDArray[np.float32]) -> list[float]:
     """Return the wrist camera's OpenGL view matrix, column by column, rounded as in HandoverSim."""
     turn = multiply_quaternions(world_from_link[3:], _LINK_FROM_VIEW)
     axes = np.array(client.getMatrixFromQuaternion(turn.tolist()), dtype=np.float32).reshape(3, 3)
@@ -134,10 +170,10 @@ class SceneRenderer:
         rgb: npt.NDArray[np.uint8] = rgba[..., :3].copy()
         return rgb
 
-    def render_wrist_camera(self, snapshot: JointSnapshot, color: bool) -> CameraImage:
-        """Render an image of the wrist camera at given joint positions of all bodies."""
+    def render(self, snapshot: JointSnapshot, color: bool, camera: Pinhole = WRIST_CAMERA) -> CameraImage:
+        """Render an image of a camera at given joint positions of all bodies."""
         self.set_joints(snapshot)
-        return render_wrist_camera(self._client, self._workcell, self._objects, self._hand, color)
+        return render_camera(self._client, self._workcell, self._objects, self._hand, color, camera)
 
     def set_joints(self, snapshot: JointSnapshot) -> None:
         """Set all bodies to the joint positions of a snapshot; remove the human hand if the snapshot has none."""

@@ -18,10 +18,11 @@ from handover_marl.simulation.bullet.bodies import (
     compute_object_masks,
     load_workcell,
 )
-from handover_marl.simulation.bullet.rendering import render_wrist_camera
+from handover_marl.simulation.bullet.rendering import render_camera
 from handover_marl.simulation.bullet.sleepable_bodies import KinematicHand, SleepableObject, read_bounding_spheres
 from handover_marl.simulation.bullet.world import BulletWorld
 from handover_marl.simulation.camera.images import CameraImage, JointSnapshot
+from handover_marl.simulation.camera.optics import WRIST_CAMERA, Pinhole
 from handover_marl.simulation.motion_bounds import RobotMotionBounds
 from handover_marl.simulation.reference_tracking import ReferenceMotion, track_references
 from handover_marl.simulation.world import Contacts
@@ -87,11 +88,11 @@ class ExactWorld(BulletWorld):
         """Return the joint positions (n, 6) of n objects: xyz (m), intrinsic XYZ Euler angles (rad), float32."""
         return np.stack([body.read_joint_positions() for body in self._objects])
 
-    def render_wrist_camera(self, snapshot: JointSnapshot | None, color: bool) -> CameraImage:
-        """Render an image of the wrist camera for a snapshot, None for the current state; `color` adds colours."""
+    def render_camera(self, snapshot: JointSnapshot | None, color: bool, camera: Pinhole = WRIST_CAMERA) -> CameraImage:
+        """Render an image of a camera for a snapshot, None for the current state; `color` adds colours."""
         if snapshot is not None:
-            return super().render_wrist_camera(snapshot, color)
-        return render_wrist_camera(self._client, self._loaded_workcell, self._objects, self._hand, color)
+            return super().render_camera(snapshot, color, camera)
+        return render_camera(self._client, self._loaded_workcell, self._objects, self._hand, color, camera)
 
     def _update_hand(self, target: list[float] | None) -> None:
         """Load the human hand at its first target, and remove it when there is no target."""

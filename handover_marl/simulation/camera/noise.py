@@ -9,7 +9,7 @@ from scipy.ndimage import generate_binary_structure, maximum_filter, minimum_fil
 from handover_marl.config import CheckedConfig, bounded
 from handover_marl.errors import OptionError, check_name
 from handover_marl.simulation.camera.images import CameraImage, SegmentationLabel
-from handover_marl.simulation.camera.optics import EMPTY_DEPTH
+from handover_marl.simulation.camera.optics import WRIST_CAMERA, Pinhole
 
 
 @dataclass(frozen=True)
@@ -59,14 +59,18 @@ def resolve_camera_noise(camera_noise: str | CameraNoise | None) -> CameraNoise 
     )
 
 
-def apply_camera_noise(image: CameraImage, noise: CameraNoise, rng: np.random.Generator) -> CameraImage:
-    """Return a copy of a noise-free wrist-camera image with depth noise and missing pixels.
+def apply_camera_noise(
+    image: CameraImage, noise: CameraNoise, rng: np.random.Generator, camera: Pinhole = WRIST_CAMERA
+) -> CameraImage:
+    """Return a copy of a noise-free image with depth noise and missing pixels.
 
     Args:
         image: Noise-free image.
         noise: Parameters of the noise.
-        rng: Random generator; the number of its draws does not depend on the image.
+        rng: Random generator; the number of its draws does not depend on the image's content.
+        camera: Camera of the image.
     """
+    empty = camera.empty_depth
     normal = rng.standard_normal(image.depth.shape, dtype=np.float32)
     uniform = rng.random(image.depth.shape, dtype=np.float32)
     depth = image.depth + np.float32(noise.depth_noise_std) * image.depth**2 * normal
@@ -74,11 +78,11 @@ def apply_camera_noise(image: CameraImage, noise: CameraNoise, rng: np.random.Ge
     is_sampled = np.zeros_like(is_lost)
     is_sampled[:: noise.pixel_stride, :: noise.pixel_stride] = True
     is_lost |= ~is_sampled
-    is_empty = is_lost | (image.depth >= EMPTY_DEPTH)
+    is_empty = is_lost | (image.depth >= empty)
     # Clipped below the value of background pixels, however large the noise.
-    highest = np.nextafter(EMPTY_DEPTH, np.float32(0.0))
+    highest = np.nextafter(empty, np.float32(0.0))
     return CameraImage(
-        np.where(is_empty, EMPTY_DEPTH, np.clip(depth, np.float32(0.0), highest)),
+        np.where(is_empty, empty, np.clip(depth, np.float32(0.0), highest)),
         np.where(is_lost, np.uint8(SegmentationLabel.BACKGROUND), image.segmentation),
         image.rgb,
     )

@@ -1,52 +1,43 @@
-"""Optics of the wrist camera: projection, deprojection, light.
+"""Optics of cameras: projection, deprojection, light.
 
-The camera is HandoverSim's: a pinhole at (0.036, 0, 0.036) m in the Panda's hand link that looks along the link's z
-axis; image right is the link's y axis, image down its negative x axis. Images have 224 x 224 pixels, 90 degrees field
-of view, and a depth range of 0.035 to 2 m.
+A camera's axes are OpenCV's: x is image right, y image down, z ahead. The pinhole projects a point (x, y, z) of the
+camera's frame to the image position K (x / z, y / z, 1), in pixels from the center of the first pixel.
 
-HandoverSim's renderer samples the pixel (column u, row v) at the image position (u, v + 1), but its deprojection
-assumes (u, v), so its points are shifted by depth / 112 towards image up. `HANDOVERSIM_MODEL` repeats that shift with
-the same float32 operations; `PINHOLE_MODEL` is exact.
+All renderers sample pixels as HandoverSim's does, which shifts the principal point by one row: it is column w / 2, row
+h / 2 - 1 of an image of w x h pixels. HandoverSim's deprojection assumes row h / 2, so its points are shifted towards
+image up, by depth / focal length. `HANDOVERSIM_MODEL` repeats that shift with the same float32 operations;
+`PINHOLE_MODEL` is exact.
 """
 
+import functools
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
+from handover_marl.config import CAMERAS, CameraConfig, Vector3
 from handover_marl.errors import check_name
 from handover_marl.geometry.arrays import AnyArray, get_namespace, stack_last
 from handover_marl.geometry.panda import CAMERA_LINK
 
 Array = npt.NDArray[np.float32]
+Float64Array = npt.NDArray[np.float64]
 
-#: Pixels per side and of an image, field of view (degrees, horizontal and vertical), and depth range (m).
-IMAGE_SIZE: Final = 224
-N_PIXELS: Final = IMAGE_SIZE * IMAGE_SIZE
-FIELD_OF_VIEW: Final = 90.0
-NEAR: Final = 0.035
-FAR: Final = 2.0
-#: Depth (m) of background pixels: HandoverSim's conversion of an empty depth buffer.
-EMPTY_DEPTH: Final = np.float32(1.9999951)
-#: Position of the pinhole in the hand link's frame (m).
-CAMERA_POSITION_IN_HAND: Final = (0.036, 0.0, 0.036)
-#: Axes of the camera (right, down, ahead) in the hand link's frame, as columns.
-HAND_FROM_CAMERA: Final = ((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
-#: Links of the robot that the camera does not see: its own housing is nearer than the near plane.
+#: Share of the far plane's distance that is the depth of background pixels: HandoverSim's conversion of an empty depth
+#: buffer.
+_EMPTY_SHARE: Final = np.float32(1.9999951) / np.float32(2.0)
+#: Links of the robot that no camera sees: the wrist camera's own housing is nearer than its near plane.
 INVISIBLE_LINKS: Final = (CAMERA_LINK,)
 
 #: Names of the deprojection models.
 HANDOVERSIM_MODEL, PINHOLE_MODEL = "handoversim", "pinhole"
 CAMERA_MODELS = (HANDOVERSIM_MODEL, PINHOLE_MODEL)
 
-#: Half the image size, which equals the focal length in pixels at 90 degrees.
-HALF_SIZE_PX: Final = IMAGE_SIZE / 2
-#: Offset (right, down) from a pixel's number to the image position at which it is sampled.
+#: Offset (right, down) from a pixel's number to the image position at which it is sampled, from the image's corner.
 SAMPLE_OFFSET_PX: Final = (0.0, 1.0)
-
-# HandoverSim computes tan(45 degrees) in float32, which makes the focal length the largest number below 112.
-_FOCAL = np.nextafter(np.float32(HALF_SIZE_PX), np.float32(0.0))
-_SCALE, _SHIFT = float(np.float32(1.0) / _FOCAL), float(-np.float32(HALF_SIZE_PX) / _FOCAL)
 
 #: Distance behind a back face, which is invisible, at which a ray continues (m).
 BACK_FACE_OFFSET: Final = 1e-5
@@ -65,39 +56,179 @@ SKY: Final = (255, 255, 255)
 GROUND: Final = ((255, 255, 255), (173, 199, 239))
 
 
-def deproject(depth: Array, mask: npt.NDArray[np.bool_], camera_model: str = HANDOVERSIM_MODEL) -> Array:
-    """Compute the 3D points (n, 3) of the pixels of a depth image (224, 224) where `mask` (224, 224) is True.
+@dataclass(frozen=True)
+class Pinhole:
+    """Pinhole camera without distortion.
 
-    The depth is float32 along the viewing axis (m). The points are float32 in the hand link's frame (m), in image
-    order. `camera_model` is the deprojection model, one of `CAMERA_MODELS`; another name raises `UnknownNameError`.
+    Attributes:
+        width: Width of the image (pixels).
+        height: Height of the image (pixels).
+        focal: Focal lengths along image right and down (pixels).
+        principal: Principal point (column, row), in numbers of pixels.
+        near: Distance of the near plane (m).
+        far: Distance of the far plane (m).
+        link: Link of the robot in whose frame the pose is; "" for the world frame.
+        position: Position of the pinhole (m).
+        axes: Axes of the camera (right, down, ahead) as the columns of a matrix (3, 3).
+    """
+
+    width: int
+    height: int
+    focal: tuple[float, float]
+    principal: tuple[float, float]
+    near: float
+    far: float
+    link: str
+    position: Vector3
+    axes: tuple[Vector3, Vector3, Vector3]
+
+    @property
+    def n_pixels(self) -> int:
+        """Number of pixels of an image."""
+        return self.width * self.height
+
+    @property
+    def empty_depth(self) -> np.float32:
+        """Depth (m) of background pixels, just under that of the far plane."""
+        depth: np.float32 = np.float32(self.far) * _EMPTY_SHARE
+        return depth
+
+    @functools.cached_property
+    def pixels(self) -> npt.NDArray[np.int64]:
+        """Numbers (h, w) of the pixels, row by row."""
+        return np.arange(self.n_pixels).reshape(self.height, self.width)
+
+    @functools.cached_property
+    def rays(self) -> Array:
+        """Directions (n, 3) of the rays of all n pixels, row by row, in the camera's frame, with z = 1."""
+        columns, rows = np.meshgrid(np.arange(self.width), np.arange(self.height))
+        right, down = ((at - c) / f for at, c, f in zip((columns, rows), self.principal, self.focal, strict=True))
+        return np.stack([right, down, np.ones(right.shape)], axis=-1).reshape(-1, 3).astype(np.float32)
+
+
+def to_rows(axes: Float64Array) -> tuple[Vector3, Vector3, Vector3]:
+    """Return a matrix (3, 3) as the tuples of `Pinhole.axes`."""
+    first, second, third = ((float(a), float(b), float(c)) for a, b, c in axes)
+    return first, second, third
+
+
+@functools.lru_cache(maxsize=64)
+def make_pinhole(config: CameraConfig) -> Pinhole:
+    """Return the pinhole camera of a configuration."""
+    # Rounded, since the tangent of 45 degrees is not exactly 1.
+    focal = round(config.height / 2.0 / math.tan(math.radians(config.vertical_fov) / 2.0), 9)
+    ahead = np.subtract(config.target, config.position)
+    ahead /= np.linalg.norm(ahead)
+    right = np.cross(ahead, config.up)
+    right /= np.linalg.norm(right)
+    # Zeros without a sign.
+    axes = to_rows(np.stack([right, np.cross(ahead, right), ahead], axis=1) + 0.0)
+    return Pinhole(
+        width=config.width,
+        height=config.height,
+        focal=(focal, focal),
+        principal=(config.width / 2.0 - SAMPLE_OFFSET_PX[0], config.height / 2.0 - SAMPLE_OFFSET_PX[1]),
+        near=config.near,
+        far=config.far,
+        link=config.link,
+        position=config.position,
+        axes=axes,
+    )
+
+
+#: Wrist camera of HandoverSim.
+WRIST_CAMERA = make_pinhole(CAMERAS["wrist"])
+
+
+@dataclass(frozen=True, eq=False)
+class CameraInfo:
+    """Calibration of a camera, in OpenCV's axes: x is image right, y image down, z ahead.
+
+    The point of a pixel in column u and row v with depth d is d K^-1 (u, v, 1) in the camera's frame.
+
+    Attributes:
+        width: Width of the image (pixels).
+        height: Height of the image (pixels).
+        K: Matrix (3, 3) of the intrinsics (pixels), float64.
+        link: Link of the robot on which the camera is mounted; "" for a camera that is fixed in the world.
+        extrinsics: Pose (4, 4) of the camera in the frame of this link, or in the world frame (m), float64: a matrix
+            that maps points of the camera's frame to that frame.
+    """
+
+    width: int
+    height: int
+    K: Float64Array
+    link: str
+    extrinsics: Float64Array
+
+
+def make_camera_info(config: CameraConfig) -> CameraInfo:
+    """Return the calibration of the camera of a configuration."""
+    camera, extrinsics = make_pinhole(config), np.eye(4)
+    extrinsics[:3, :3], extrinsics[:3, 3] = camera.axes, camera.position
+    (fx, fy), (cx, cy) = camera.focal, camera.principal
+    matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    return CameraInfo(config.width, config.height, matrix, config.link, extrinsics)
+
+
+def describe_calibration(infos: Mapping[str, CameraInfo]) -> dict[str, Float64Array]:
+    """Return the matrices of cameras, by name, as in the infos of environments: "wrist_K", "wrist_extrinsics"."""
+    return {
+        f"{name}_{key}": matrix
+        for name, info in infos.items()
+        for key, matrix in (("K", info.K), ("extrinsics", info.extrinsics))
+    }
+
+
+def deproject(
+    depth: Array,
+    mask: npt.NDArray[np.bool_],
+    camera_model: str = HANDOVERSIM_MODEL,
+    camera: Pinhole = WRIST_CAMERA,
+) -> Array:
+    """Compute the 3D points (n, 3) of the pixels of a depth image (h, w) where `mask` (h, w) is True.
+
+    The depth is float32 along the viewing axis (m). The points are float32 in the frame of the camera's link or in the
+    world frame (m), in image order. `camera_model` is the deprojection model, one of `CAMERA_MODELS`; another name
+    raises `UnknownNameError`.
     """
     pixels = np.flatnonzero(mask)
-    points: Array = compute_points(pixels, depth.ravel()[pixels], camera_model)
+    points: Array = compute_points(pixels, depth.ravel()[pixels], camera_model, camera)
     return points
 
 
-def compute_points(pixels: AnyArray, depth: AnyArray, camera_model: str = HANDOVERSIM_MODEL) -> AnyArray:
+def compute_points(
+    pixels: AnyArray, depth: AnyArray, camera_model: str = HANDOVERSIM_MODEL, camera: Pinhole = WRIST_CAMERA
+) -> AnyArray:
     """Compute the 3D points (..., 3) of pixels from their numbers in image order and their depths, both (...).
 
-    Depths are float32 along the viewing axis (m), points float32 in the hand link's frame (m), as arrays or tensors.
-    `camera_model` is the deprojection model, one of `CAMERA_MODELS`; another name raises `UnknownNameError`.
+    Arguments and frame are as for `deproject`; arrays or tensors.
     """
     check_name("camera_model", camera_model, CAMERA_MODELS)
     xp = get_namespace(pixels)
-    down, right = (xp.astype(number, xp.float32) for number in (pixels // IMAGE_SIZE, pixels % IMAGE_SIZE))
+    down, right = (xp.astype(number, xp.float32) for number in (pixels // camera.width, pixels % camera.width))
     if camera_model == PINHOLE_MODEL:
         right, down = right + SAMPLE_OFFSET_PX[0], down + SAMPLE_OFFSET_PX[1]
-    x = CAMERA_POSITION_IN_HAND[0] - depth * (_SCALE * down + _SHIFT)
-    y = depth * (_SCALE * right + _SHIFT)
-    return stack_last([x, y, depth + CAMERA_POSITION_IN_HAND[2]])
+    # HandoverSim computes tan(45 degrees) in float32, which makes the focal length the largest number below 112.
+    focal = np.nextafter(np.array(camera.focal, np.float32), np.float32(0.0))
+    scale = (np.float32(1.0) / focal).tolist()
+    shift = (np.array([camera.width, camera.height], np.float32) / np.float32(-2.0) / focal).tolist()
+    own = depth * (scale[0] * right + shift[0]), depth * (scale[1] * down + shift[1]), depth
+    sums = []
+    for place, row in zip(camera.position, camera.axes, strict=True):
+        # Without products by 0, which take time.
+        parts = [coordinate * factor for factor, coordinate in zip(row, own, strict=True) if factor]
+        sums.append(sum(parts, place))
+    return stack_last(sums)
 
 
-def depth_from_buffer(buffer: Array) -> Array:
+def depth_from_buffer(buffer: Array, camera: Pinhole = WRIST_CAMERA) -> Array:
     """Convert an OpenGL depth buffer to depth along the viewing axis (m), and buffer values of 1 to 0.
 
     The float32 operations are HandoverSim's.
     """
-    depth: Array = np.float32(FAR * NEAR) / (np.float32(FAR) - np.float32(FAR - NEAR) * buffer)
-    # HandoverSim marks empty pixels so; its software renderer has no buffer value of 1 and gives `EMPTY_DEPTH`.
+    near, far = camera.near, camera.far
+    depth: Array = np.float32(far * near) / (np.float32(far) - np.float32(far - near) * buffer)
+    # HandoverSim marks empty pixels so; its software renderer has no buffer value of 1 and gives another depth.
     depth[buffer == 1.0] = 0.0
     return depth

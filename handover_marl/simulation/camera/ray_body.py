@@ -1,8 +1,9 @@
 """Visual meshes of URDF models for ray casting; needs embreex (extra `vision`)."""
 
 import functools
-from dataclasses import dataclass
+import itertools
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -23,10 +24,11 @@ Array = npt.NDArray[np.float32]
 Float64Array = npt.NDArray[np.float64]
 
 _ORIGIN = tuple(IDENTITY.tolist())
+# Whether each of a box's eight corners is on its higher side, by axis.
+_IS_HIGH = np.array(list(itertools.product((False, True), repeat=3)))
 
 
-@dataclass(frozen=True, eq=False)
-class RayHits:
+class RayHits(NamedTuple):
     """Front faces of a mesh that rays hit first, one for each of n rays that hit.
 
     Attributes:
@@ -71,21 +73,30 @@ class RayMesh:
             near: Depth before which hits are ignored (m).
             far: (n,) depths behind which hits are ignored (m).
         """
-        ray, begin = np.arange(len(directions)), np.full(len(directions), near, dtype=np.float32)
-        hits = []
+        # All rays begin at one depth, then each behind the back face that it has hit.
+        ray, begin, hits = None, np.full(1, near, dtype=np.float32), list[RayHits]()
         for _ in range(MAX_BACK_FACES + 1):
-            found = self._scene.run(start + begin[:, None] * directions, directions, dists=far - begin, output=1)
-            is_hit = found["primID"] >= 0
-            ray, directions, far = ray[is_hit], directions[is_hit], far[is_hit]
-            depth, face = begin[is_hit] + found["tfar"][is_hit], found["primID"][is_hit]
-            is_back = np.einsum("ij,ij->i", self.normals[face], directions) >= 0.0
-            weights = np.stack([found["u"], found["v"]], axis=-1)[is_hit]
-            hits.append((ray[~is_back], depth[~is_back], face[~is_back], weights[~is_back]))
+            # Loops over columns, and `take`, are several times as fast as operations on rows.
+            starts = directions * (begin[0] if len(begin) == 1 else begin[:, None])
+            for axis in range(3):
+                starts[:, axis] += start[axis]
+            found = self._scene.run(starts, directions, dists=far - begin, output=1)
+            (hit,) = np.nonzero(found["primID"] >= 0)
+            face, weights = found["primID"][hit], np.empty((len(hit), 2), np.float32)
+            towards, normals = directions.take(hit, axis=0), self.normals.take(face, axis=0)
+            weights[:, 0], weights[:, 1] = found["u"][hit], found["v"][hit]
+            depth = (begin if len(begin) == 1 else begin[hit]) + found["tfar"][hit]
+            is_back = sum(towards[:, axis] * normals[:, axis] for axis in range(3)) >= 0.0
+            latest = RayHits(hit if ray is None else ray[hit], depth, face, weights)
             if not is_back.any():
+                hits.append(latest)
                 break
+            hits.append(RayHits(*(part[~is_back] for part in latest)))
             # Back faces are invisible: the ray continues behind them.
-            ray, directions, far = ray[is_back], directions[is_back], far[is_back]
+            ray, directions, far = latest.ray[is_back], towards[is_back], far[hit][is_back]
             begin = depth[is_back] + np.float32(BACK_FACE_OFFSET)
+        if len(hits) == 1:
+            return hits[0]
         return RayHits(*(np.concatenate(parts) for parts in zip(*hits, strict=True)))
 
 
@@ -99,8 +110,7 @@ class RayBody:
 
     Attributes:
         meshes: Meshes of the n links that have visual shapes.
-        lowest: (n, 3) lower corners of the meshes' bounding boxes, in the links' frames (m).
-        highest: (n, 3) upper corners of the meshes' bounding boxes, in the links' frames (m).
+        corners: (n, 8, 3) corners of the meshes' bounding boxes, in the links' frames (m).
     """
 
     def __init__(self, urdf: Path, label: SegmentationLabel, base: npt.ArrayLike) -> None:
@@ -111,8 +121,9 @@ class RayBody:
         visual_meshes = read_visual_meshes(urdf, self._tree, self._without)
         self._links = [mesh.link for mesh in visual_meshes]
         self.meshes = [RayMesh(mesh.vertices, mesh.faces) for mesh in visual_meshes]
-        self.lowest = np.array([mesh.vertices.min(axis=0) for mesh in self.meshes]).reshape(-1, 3)
-        self.highest = np.array([mesh.vertices.max(axis=0) for mesh in self.meshes]).reshape(-1, 3)
+        lowest = np.array([mesh.vertices.min(axis=0) for mesh in self.meshes]).reshape(-1, 1, 3)
+        highest = np.array([mesh.vertices.max(axis=0) for mesh in self.meshes]).reshape(-1, 1, 3)
+        self.corners = np.where(_IS_HIGH, highest, lowest)
         self._last_frames: tuple[Array, Float64Array, Float64Array] | None = None
 
     @functools.cached_property

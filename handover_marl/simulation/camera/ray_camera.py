@@ -1,10 +1,11 @@
-"""Renderer of the wrist camera by ray casting, and its framebuffer: depth, segmentation labels and colours.
+"""Renderer of cameras by ray casting, and its framebuffer: depth, segmentation labels and colours.
 
 Rays are cast only through the pixels of a rectangle around each link. If only object and hand are rendered, the other
 bodies are tested only against rays that hit the object or the hand.
 """
 
-import itertools
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -12,199 +13,202 @@ import numpy.typing as npt
 from handover_marl.config import PhysicsConfig
 from handover_marl.datasets.dataset import SceneAssets
 from handover_marl.geometry.kinematic_tree import read_tree
-from handover_marl.geometry.panda import HAND_LINK
 from handover_marl.simulation.camera.images import CameraImage, JointSnapshot, SegmentationLabel
 from handover_marl.simulation.camera.optics import (
     AMBIENT,
-    CAMERA_POSITION_IN_HAND,
     DIFFUSE,
-    EMPTY_DEPTH,
-    FAR,
     GROUND,
-    HALF_SIZE_PX,
-    HAND_FROM_CAMERA,
-    IMAGE_SIZE,
     LIGHT,
-    N_PIXELS,
-    NEAR,
-    SAMPLE_OFFSET_PX,
     SKY,
     SPECULAR,
+    WRIST_CAMERA,
+    Float64Array,
+    Pinhole,
 )
 from handover_marl.simulation.camera.ray_body import RayBody, load_ray_body
 
 Array = npt.NDArray[np.float32]
+Colors = npt.NDArray[np.uint8]
+Rectangles = npt.NDArray[np.int64]
 #: Numbers of pixels in image order.
 Pixels = npt.NDArray[np.int64]
 
 _NO_PIXELS = np.zeros(0, dtype=np.int64)
-# Numbers of the pixels by row and column.
-_PIXELS = np.arange(N_PIXELS).reshape(IMAGE_SIZE, IMAGE_SIZE)
-# Whether each of a box's eight corners is on its higher side, by axis.
-_IS_HIGH = np.array(list(itertools.product((False, True), repeat=3)))
+# Numbers of the corners at both ends of a box's edges.
+_EDGES = np.array([(one, one | bit) for bit in (1, 2, 4) for one in range(8) if not one & bit]).T
 # Added around rectangles (pixels), larger than the rounding error of the projection.
 _MARGIN = 0.01
-# Principal point, in pixel numbers.
-_PRINCIPAL_POINT = HALF_SIZE_PX - np.array(SAMPLE_OFFSET_PX, dtype=np.float32)
+# Numbers of no link.
+_GROUND, _BACKGROUND = -1, -2
+_GROUND_COLORS = np.array(GROUND, dtype=np.uint8)
 
 
-def _compute_ray_directions() -> Array:
-    """Return the ray directions (50176, 3) of all pixels in the camera's frame, with z = 1."""
-    columns, rows = np.meshgrid(np.arange(IMAGE_SIZE), np.arange(IMAGE_SIZE))
-    right, down = columns + SAMPLE_OFFSET_PX[0] - HALF_SIZE_PX, rows + SAMPLE_OFFSET_PX[1] - HALF_SIZE_PX
-    directions = np.stack([right / HALF_SIZE_PX, down / HALF_SIZE_PX, np.ones((IMAGE_SIZE, IMAGE_SIZE))], axis=-1)
-    return directions.reshape(-1, 3).astype(np.float32)
+class PosedLink(NamedTuple):
+    """Link of a body in the frame of a camera.
 
+    Attributes:
+        body: The body.
+        number: Number of the link's mesh in the body.
+        owner: Number of the link in the scene.
+        frame: Rotation (3, 3) and origin (3,) (m) of the mesh in the camera's frame, float32.
+        rectangle: First column and that after the last, and rows likewise, of the pixels that may show the link.
+    """
 
-_RAYS = _compute_ray_directions()
+    body: RayBody
+    number: int
+    owner: int
+    frame: tuple[Array, Array]
+    rectangle: Sequence[Sequence[int]]
+
+    @property
+    def is_hidden(self) -> bool:
+        """Whether no pixel can show the link."""
+        return any(first >= after for first, after in self.rectangle)
 
 
 class Framebuffer:
-    """Depth, segmentation labels and colours of one wrist-camera image during ray casting.
+    """Depth of one image during ray casting, and the number of the link that each pixel shows.
 
-    Pixels are numbered row by row.
+    Pixels are numbered row by row. Colours are computed at the end, once for each pixel.
 
     Args:
+        camera: Camera of the image.
         rotation: (3, 3) axes of the camera (right, down, ahead) in the world, as columns.
         position: (3,) world position of the pinhole (m).
         color: Whether the image has colours.
     """
 
-    def __init__(
-        self, rotation: npt.NDArray[np.float64], position: npt.NDArray[np.float64], color: bool = False
-    ) -> None:
-        self._rotation, self._position = rotation, position
-        self._depth = np.full(N_PIXELS, EMPTY_DEPTH, dtype=np.float32)
-        self._labels = np.full(N_PIXELS, SegmentationLabel.BACKGROUND, dtype=np.uint8)
-        self._rgb = np.full((N_PIXELS, 3), SKY, dtype=np.uint8) if color else None
+    def __init__(self, camera: Pinhole, rotation: Float64Array, position: Float64Array, color: bool = False) -> None:
+        self._camera, self._rotation, self._position, self._has_color = camera, rotation, position, color
+        count = camera.n_pixels
+        self._depth = np.full(count, camera.empty_depth, dtype=np.float32)
+        self._owner = np.full(count, _BACKGROUND, dtype=np.int16)
+        # Face that a pixel shows, and its two weights in one number, which is faster than two.
+        self._face, self._weights = np.empty(count, np.int32), np.empty(count, np.complex64)
 
-    def add_ground(self) -> None:
-        """Draw the ground plane z = 0 of the world frame."""
-        descent = _RAYS @ self._rotation[2].astype(np.float32)
-        with np.errstate(divide="ignore"):
-            depth = np.float32(-self._position[2]) / descent
-        is_hit = (depth > NEAR) & (depth < EMPTY_DEPTH)
-        self._depth[is_hit] = depth[is_hit]
-        if self._rgb is not None:
-            places = self._position + self._depth[is_hit, None] * (_RAYS[is_hit] @ self._rotation.T)
-            squares = np.floor(places[:, :2]).astype(np.int64).sum(axis=1) % 2
-            self._rgb[is_hit] = _shade(np.array(GROUND)[squares], np.array([0.0, 0.0, 1.0]))
+    def draw(self, link: PosedLink, pixels: Pixels | None = None) -> Pixels:
+        """Draw a link on those of some pixels where it is nearest to the camera; return the changed pixels.
 
-    def add(self, body: RayBody, joints: Array) -> Pixels:
-        """Draw a body at joint positions (d,) (m, rad) and return the numbers of the changed pixels.
-
-        A pixel that two links of the body changed one after the other occurs twice.
+        Args:
+            link: Link to draw.
+            pixels: Numbers (n,) of the pixels; default: those of the rectangle around the link.
         """
-        rotations, origins = self._compute_mesh_frames(body, joints)
-        columns, rows, is_cut = _bound_boxes(body, rotations, origins)
-        drawn = [_NO_PIXELS]
-        for link in np.flatnonzero((columns[:, 0] < columns[:, 1]) & (rows[:, 0] < rows[:, 1])).tolist():
-            pixels, frame = _PIXELS[slice(*rows[link]), slice(*columns[link])].ravel(), (rotations[link], origins[link])
-            if is_cut[link]:
-                # The rectangle is the whole image.
-                pixels = pixels[self._is_box_hit(pixels, frame, body.lowest[link], body.highest[link])]
-            drawn.append(self._draw_link(body, link, frame, pixels))
-        return np.concatenate(drawn)
-
-    def remove_occluded_by(self, body: RayBody, joints: Array, pixels: Pixels) -> Pixels:
-        """Clear the given pixels that a body at joint positions (d,) occludes; return the other given pixels."""
-        rotations, origins = self._compute_mesh_frames(body, joints)
-        columns, rows, _ = _bound_boxes(body, rotations, origins)
-        for link, frame in enumerate(zip(rotations, origins, strict=True)):
-            row, column = np.divmod(pixels, IMAGE_SIZE)
-            is_inside = (row >= rows[link, 0]) & (row < rows[link, 1])
-            near = pixels[is_inside & (column >= columns[link, 0]) & (column < columns[link, 1])]
-            if len(near):
-                near = near[self._is_box_hit(near, frame, body.lowest[link], body.highest[link])]
-                self._clear(self._draw_link(body, link, frame, near))
-                pixels = pixels[self._labels[pixels] != SegmentationLabel.BACKGROUND]
-        return pixels
-
-    def remove_below_ground(self, pixels: Pixels) -> Pixels:
-        """Clear the given pixels whose points are below the ground, world z = 0; return the other given pixels."""
-        heights = self._position[2] + self._depth[pixels] * (_RAYS[pixels] @ self._rotation[2])
-        is_below = heights < 0.0
-        self._clear(pixels[is_below])
-        remaining: Pixels = pixels[~is_below]
-        return remaining
-
-    def to_image(self) -> CameraImage:
-        """Return the content of the framebuffer as a wrist-camera image."""
-        shape = (IMAGE_SIZE, IMAGE_SIZE)
-        rgb = None if self._rgb is None else self._rgb.reshape(*shape, 3)
-        return CameraImage(self._depth.reshape(shape), self._labels.reshape(shape), rgb)
-
-    def _compute_mesh_frames(self, body: RayBody, joints: Array) -> tuple[Array, Array]:
-        """Return rotations (n, 3, 3) and origins (n, 3) of a body's meshes in the camera frame."""
-        rotations, origins = body.compute_mesh_frames(joints)
-        turns, places = self._rotation.T @ rotations, (origins - self._position) @ self._rotation
-        return turns.astype(np.float32), places.astype(np.float32)
-
-    def _is_box_hit(
-        self, pixels: Pixels, frame: tuple[Array, Array], lowest: Array, highest: Array
-    ) -> npt.NDArray[np.bool_]:
-        """Return a mask (n,) of the pixels (n,) whose rays hit a box nearer than the point drawn so far.
-
-        `lowest` and `highest` (3,) are the box's corners in the frame of a link, which `frame` has in the camera's.
-        """
-        rotation, origin = frame
-        start, directions = -(origin @ rotation), _RAYS[pixels] @ rotation
-        enter, leave = np.float32(NEAR), self._depth[pixels]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            for axis in range(3):
-                one, other = ((side[axis] - start[axis]) / directions[:, axis] for side in (lowest, highest))
-                # fmin and fmax ignore the NaN of a ray that lies in a face of the box.
-                enter, leave = np.fmax(enter, np.fmin(one, other)), np.fmin(leave, np.fmax(one, other))
-        is_hit: npt.NDArray[np.bool_] = enter <= leave
-        return is_hit
-
-    def _draw_link(self, body: RayBody, link: int, frame: tuple[Array, Array], pixels: Pixels) -> Pixels:
-        """Draw a link on those of the given pixels where it is nearest to the camera; return the changed pixels."""
-        if not len(pixels):
-            return _NO_PIXELS
-        mesh, (rotation, origin) = body.meshes[link], frame
-        hits = mesh.cast_rays(-(origin @ rotation), _RAYS[pixels] @ rotation, NEAR, self._depth[pixels])
+        camera, mesh, (rotation, origin) = self._camera, link.body.meshes[link.number], link.frame
+        if pixels is None:
+            # Faster than by the numbers of the pixels.
+            columns, rows = (slice(*bounds) for bounds in link.rectangle)
+            rays = camera.rays.reshape(*camera.pixels.shape, 3)[rows, columns].reshape(-1, 3)
+            depth = self._depth.reshape(camera.pixels.shape)[rows, columns].ravel()
+            pixels = camera.pixels[rows, columns].ravel()
+        else:
+            rays, depth = camera.rays.take(pixels, axis=0), self._depth[pixels]
+        hits = mesh.cast_rays(-(origin @ rotation), rays @ rotation, camera.near, depth)
         drawn = pixels[hits.ray]
-        self._depth[drawn] = hits.depth
-        self._labels[drawn] = body.label
-        if self._rgb is not None:
-            colors = body.surfaces[link].sample(hits.face, hits.weights)
-            self._rgb[drawn] = _shade(colors, mesh.normals[hits.face] @ (self._rotation @ rotation).T)
+        self._depth[drawn], self._owner[drawn] = hits.depth, link.owner
+        if self._has_color:
+            self._face[drawn], self._weights[drawn] = hits.face, hits.weights.view(np.complex64)[:, 0]
         return drawn
 
-    def _clear(self, pixels: Pixels) -> None:
-        self._depth[pixels], self._labels[pixels] = EMPTY_DEPTH, SegmentationLabel.BACKGROUND
+    def draw_ground(self) -> None:
+        """Draw the ground plane z = 0 of the world frame, where it is nearest to the camera."""
+        descent = self._camera.rays @ self._rotation[2].astype(np.float32)
+        with np.errstate(divide="ignore"):
+            depth = np.float32(-self._position[2]) / descent
+        is_hit = (depth > self._camera.near) & (depth < self._depth)
+        self._depth[is_hit], self._owner[is_hit] = depth[is_hit], _GROUND
+
+    def clear(self, pixels: Pixels) -> None:
+        """Make some pixels background."""
+        self._depth[pixels], self._owner[pixels] = self._camera.empty_depth, _BACKGROUND
+
+    def find_below_ground(self, pixels: Pixels) -> npt.NDArray[np.bool_]:
+        """Return a mask (n,) of the pixels (n,) whose points are below the ground, world z = 0."""
+        heights = self._position[2] + self._depth[pixels] * (self._camera.rays[pixels] @ self._rotation[2])
+        is_below: npt.NDArray[np.bool_] = heights < 0.0
+        return is_below
+
+    def make_image(self, links: Sequence[PosedLink]) -> CameraImage:
+        """Return the content of the framebuffer as an image, given the links by their numbers."""
+        shape = self._camera.height, self._camera.width
+        labels = np.array([*(link.body.label for link in links), *[SegmentationLabel.BACKGROUND] * 2], dtype=np.uint8)
+        rgb = self._compute_colors(links).reshape(*shape, 3) if self._has_color else None
+        # The numbers of ground and background are the last two.
+        return CameraImage(self._depth.reshape(shape), labels.take(self._owner).reshape(shape), rgb)
+
+    def _compute_colors(self, links: Sequence[PosedLink]) -> Colors:
+        """Return the colours (n, 3) of all pixels."""
+        # Three channels and an unused one in one number, which is faster than three.
+        colors = np.empty((len(self._owner), 4), np.uint8)
+        packed = colors.view(np.uint32)[:, 0]
+        order = np.argsort(self._owner, kind="stable")
+        ends = np.searchsorted(self._owner[order], np.arange(_BACKGROUND, len(links)), side="right").tolist()
+        colors[order[: ends[0]], :3] = SKY
+        ground = order[ends[0] : ends[1]]
+        x, y, _ = (self._camera.rays.take(ground, axis=0) @ self._rotation.T).T * self._depth[ground]
+        squares = (np.floor(x + self._position[0]) + np.floor(y + self._position[1])).astype(np.int64) & 1
+        # Normals in the world, the number of each pixel's, and colours before shading, first of the ground.
+        normals, found = [np.array([[0.0, 0.0, 1.0]])], [_GROUND_COLORS[squares]]
+        numbers: list[npt.NDArray[np.integer]] = [np.zeros(len(ground), np.int64)]
+        count = 1
+        for link, first, end in zip(links, ends[1:-1], ends[2:], strict=True):
+            if first < end:
+                pixels = order[first:end]
+                faces, weights = self._face[pixels], self._weights[pixels].view(np.float32).reshape(-1, 2)
+                own = link.body.meshes[link.number].normals
+                # Once for each face, or for each pixel if those are fewer.
+                is_shared = len(own) < len(faces)
+                rows = own if is_shared else own.take(faces, axis=0)
+                normals.append(rows @ (self._rotation @ link.frame[0]).T)
+                numbers.append(count + (faces if is_shared else np.arange(len(rows))))
+                found.append(link.body.surfaces[link.number].sample(faces, weights))
+                count += len(rows)
+        brightness = _compute_brightness(np.concatenate(normals)).take(np.concatenate(numbers))
+        packed[order[ends[0] :]] = _shade(np.concatenate(found), brightness)
+        return np.ascontiguousarray(colors[:, :3])
 
 
-def _bound_boxes(
-    body: RayBody, rotations: Array, origins: Array
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
-    """Return the rectangles of pixels that contain a body's meshes, given their frames in the camera's frame.
+def _bound_boxes(camera: Pinhole, corners: Array) -> Rectangles:
+    """Return the rectangles of pixels that contain n boxes, given their corners (n, 8, 3) in the camera's frame (m).
 
     Returns:
-        First columns and those after the last (n, 2); first rows and those after the last (n, 2), empty outside the
-        depth range; and whether boxes reach the near plane (n,), whose rectangles are the whole image.
+        First columns and those after the last, first rows and those after the last (n, 2, 2); empty rectangles outside
+        the depth range.
     """
-    boxes = np.where(_IS_HIGH, body.highest[:, None], body.lowest[:, None]) @ rotations.swapaxes(1, 2)
-    corners = boxes + origins[:, None]
-    nearest, farthest = corners[..., 2].min(axis=1), corners[..., 2].max(axis=1)
-    is_cut = nearest < NEAR
-    places = _PRINCIPAL_POINT + np.float32(HALF_SIZE_PX) * corners[..., :2] / np.maximum(corners[..., 2:], NEAR)
-    first = np.where(is_cut[:, None], 0.0, np.ceil(places.min(axis=1) - _MARGIN))
-    after = np.where(is_cut[:, None], IMAGE_SIZE, np.floor(places.max(axis=1) + _MARGIN) + 1.0)
-    after *= ((farthest > NEAR) & (nearest < FAR))[:, None]
-    bounds = np.clip(np.stack([first, after], axis=-1), 0, IMAGE_SIZE).astype(np.int64)
-    return bounds[:, 0], bounds[:, 1], is_cut
+    near = np.float32(camera.near)
+    # Points of the edges in the near plane, if an edge crosses it.
+    one, other = corners[:, _EDGES[0]], corners[:, _EDGES[1]]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = (near - one[..., 2]) / (other[..., 2] - one[..., 2])
+        cuts = one + share[..., None] * (other - one)
+        cuts[..., 2] = np.where((share >= 0.0) & (share <= 1.0), near, 0.0)
+        points = np.concatenate([corners, cuts], axis=1)
+        focal, principal = (np.array(own, np.float32) for own in (camera.focal, camera.principal))
+        places = principal + points[..., :2] / points[..., 2:] * focal
+    is_ahead = (points[..., 2] >= near)[..., None]
+    first = np.ceil(np.where(is_ahead, places, np.inf).min(axis=1) - _MARGIN)
+    after = np.floor(np.where(is_ahead, places, -np.inf).max(axis=1) + _MARGIN) + 1.0
+    after *= (corners[..., 2].min(axis=1) < camera.far)[:, None]
+    bounds: Rectangles = np.clip([first, after], 0, (camera.width, camera.height)).astype(np.int64)
+    return np.asarray(bounds.transpose(1, 2, 0))
 
 
-def _shade(colors: npt.NDArray[np.integer], normals: npt.NDArray[np.floating]) -> npt.NDArray[np.uint8]:
-    """Return RGB colours (n, 3), uint8, in the light that falls on faces with normals (n, 3) or (3,) in the world."""
-    unit = normals / np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-12)
+def _compute_brightness(normals: npt.NDArray[np.floating]) -> Float64Array:
+    """Return the brightness (n,) in the light that falls on faces with normals (n, 3) in the world."""
+    columns = normals.T
+    length = np.maximum(np.sqrt(sum(column * column for column in columns)), 1e-12)
+    unit = np.stack([column / length for column in columns], axis=1)
     cosine = unit @ np.array(LIGHT)
-    height = 2.0 * cosine * unit[..., 2] - LIGHT[2]
-    brightness = AMBIENT + DIFFUSE * np.maximum(cosine, 0.0) + SPECULAR * np.maximum(height, 0.0) ** 2
-    shaded: npt.NDArray[np.uint8] = (colors * brightness[..., None]).astype(np.uint8)
-    return shaded
+    height = 2.0 * cosine * unit[:, 2] - LIGHT[2]
+    brightness: Float64Array = AMBIENT + DIFFUSE * np.maximum(cosine, 0.0) + SPECULAR * np.maximum(height, 0.0) ** 2
+    return brightness
+
+
+def _shade(colors: npt.NDArray[np.integer], brightness: Float64Array) -> npt.NDArray[np.uint32]:
+    """Return colours (n, 3) at a brightness (n,), packed in one number each."""
+    shaded = np.empty((len(colors), 4), np.uint8)
+    for channel in range(3):
+        np.multiply(colors[:, channel], brightness, out=shaded[:, channel], casting="unsafe")
+    return shaded.view(np.uint32)[:, 0]
 
 
 _NO_JOINTS = np.zeros(0, dtype=np.float32)
@@ -213,7 +217,7 @@ PosedBody = tuple[RayBody, npt.NDArray[np.float32]]
 
 
 class RayCamera:
-    """Wrist camera that renders the visual meshes of one scene by ray casting.
+    """Renderer of the visual meshes of one scene by ray casting.
 
     Args:
         assets: Models of the scene.
@@ -226,50 +230,77 @@ class RayCamera:
     def __init__(self, assets: SceneAssets, config: PhysicsConfig) -> None:
         base = (*config.panda.base_position, *config.panda.base_orientation)
         self._panda = load_ray_body(assets.panda, SegmentationLabel.ROBOT, base)
-        self._hand_link = read_tree(assets.panda).get_link(HAND_LINK)
+        self._links = [joint.link for joint in read_tree(assets.panda).joints]
         table = (*config.table_position, 0.0, 0.0, 0.0, 1.0)
         self._table = load_ray_body(assets.table, SegmentationLabel.TABLE, table)
         self._target = load_ray_body(assets.objects[0], SegmentationLabel.TARGET)
         self._others = [load_ray_body(urdf, SegmentationLabel.OTHER_OBJECT) for urdf in assets.objects[1:]]
         self._hand = load_ray_body(assets.hand, SegmentationLabel.HAND)
 
-    def render_wrist_camera(self, snapshot: JointSnapshot, color: bool) -> CameraImage:
-        """Render the wrist-camera image with all bodies of the scene at the joint positions of a snapshot.
+    def render(self, snapshot: JointSnapshot, color: bool, camera: Pinhole = WRIST_CAMERA) -> CameraImage:
+        """Render an image with all bodies of the scene at the joint positions of a snapshot.
 
         With `color`, the image has the colours of the models' materials and textures in PyBullet's light.
         """
-        buffer = Framebuffer(*self._compute_camera_frame(snapshot), color)
-        buffer.add_ground()
-        for body, joints in [*self._list_targets(snapshot), *self._list_occluders(snapshot)]:
-            buffer.add(body, joints)
-        return buffer.to_image()
+        view = self._compute_camera_frame(snapshot, camera)
+        buffer, links = Framebuffer(camera, *view, color), self._pose_links(snapshot, camera, view)
+        for link in links:
+            if not link.is_hidden:
+                buffer.draw(link)
+        buffer.draw_ground()
+        return buffer.make_image(links)
 
-    def render_targets(self, snapshot: JointSnapshot, with_others: bool = False) -> CameraImage:
+    def render_targets(
+        self, snapshot: JointSnapshot, with_others: bool = False, camera: Pinhole = WRIST_CAMERA
+    ) -> CameraImage:
         """Render the visible pixels of target object and human hand at the joint positions of a snapshot.
 
         With `with_others`, pixels of the other objects are rendered, too. All other pixels are background.
         """
-        buffer = Framebuffer(*self._compute_camera_frame(snapshot))
-        drawn = [*self._list_targets(snapshot), *(self._list_others(snapshot) if with_others else [])]
+        view = self._compute_camera_frame(snapshot, camera)
+        buffer, links = Framebuffer(camera, *view), self._pose_links(snapshot, camera, view)
+        wanted = {SegmentationLabel.TARGET, SegmentationLabel.HAND}
+        wanted |= {SegmentationLabel.OTHER_OBJECT} if with_others else set()
+        visible = [link for link in links if not link.is_hidden]
         # Pixels of the object that the hand occludes appear twice, which does no harm.
-        pixels = np.concatenate([buffer.add(body, joints) for body, joints in drawn])
-        pixels = buffer.remove_below_ground(pixels)
-        for body, joints in self._list_occluders(snapshot, with_others=not with_others):
-            pixels = buffer.remove_occluded_by(body, joints, pixels)
-        return buffer.to_image()
+        drawn = [buffer.draw(link) for link in visible if link.body.label in wanted]
+        pixels = np.concatenate([_NO_PIXELS, *drawn])
+        is_below = buffer.find_below_ground(pixels)
+        buffer.clear(pixels[is_below])
+        pixels = pixels[~is_below]
+        row, column = np.divmod(pixels, camera.width)
+        for link in visible:
+            if link.body.label not in wanted:
+                (left, right), (top, bottom) = link.rectangle
+                near = pixels[(row >= top) & (row < bottom) & (column >= left) & (column < right)]
+                if len(near):
+                    # Pixels that are cleared twice stay background: other links are drawn over those with a depth only.
+                    buffer.clear(buffer.draw(link, near))
+        return buffer.make_image(links)
 
-    def _compute_camera_frame(self, snapshot: JointSnapshot) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    def _compute_camera_frame(self, snapshot: JointSnapshot, camera: Pinhole) -> tuple[Float64Array, Float64Array]:
+        """Return the axes (3, 3) of a camera in the world, as columns, and its position (3,) (m)."""
+        if not camera.link:
+            return np.array(camera.axes), np.array(camera.position)
         rotations, origins = self._panda.compute_link_frames(snapshot.robot)
-        rotation, origin = rotations[self._hand_link], origins[self._hand_link]
-        return rotation @ np.array(HAND_FROM_CAMERA), origin + rotation @ np.array(CAMERA_POSITION_IN_HAND)
+        link = self._links.index(camera.link)
+        rotation, origin = rotations[link], origins[link]
+        return rotation @ np.array(camera.axes), origin + rotation @ np.array(camera.position)
 
-    def _list_targets(self, snapshot: JointSnapshot) -> list[PosedBody]:
-        hand = [] if snapshot.hand is None else [(self._hand, snapshot.hand)]
-        return [(self._target, snapshot.objects[0]), *hand]
-
-    def _list_others(self, snapshot: JointSnapshot) -> list[PosedBody]:
-        return list(zip(self._others, snapshot.objects[1:], strict=True))
-
-    def _list_occluders(self, snapshot: JointSnapshot, with_others: bool = True) -> list[PosedBody]:
-        others = self._list_others(snapshot) if with_others else []
-        return [(self._panda, snapshot.robot), *others, (self._table, _NO_JOINTS)]
+    def _pose_links(
+        self, snapshot: JointSnapshot, camera: Pinhole, view: tuple[Float64Array, Float64Array]
+    ) -> list[PosedLink]:
+        """Return all links with meshes, those of target and hand first, in the frame `view` of a camera."""
+        bodies: list[PosedBody] = [(self._target, snapshot.objects[0])]
+        bodies += [] if snapshot.hand is None else [(self._hand, snapshot.hand)]
+        bodies += [(self._panda, snapshot.robot), *zip(self._others, snapshot.objects[1:], strict=True)]
+        bodies.append((self._table, _NO_JOINTS))
+        frames = [body.compute_mesh_frames(joints) for body, joints in bodies]
+        rotations, origins = (np.concatenate(part) for part in zip(*frames, strict=True))
+        turns, places = view[0].T @ rotations, (origins - view[1]) @ view[0]
+        turns, places = turns.astype(np.float32), places.astype(np.float32)
+        corners = np.concatenate([body.corners for body, _ in bodies]) @ turns.swapaxes(1, 2) + places[:, None]
+        owners = ((body, number) for body, _ in bodies for number in range(len(body.meshes)))
+        rectangles = _bound_boxes(camera, corners).tolist()
+        parts = enumerate(zip(owners, zip(turns, places, strict=True), rectangles, strict=True))
+        return [PosedLink(*link, owner, frame, bounds) for owner, (link, frame, bounds) in parts]

@@ -1,4 +1,4 @@
-"""Wrist cameras of many worlds, rendered by ray casting on a device with Warp.
+"""Cameras of many worlds, rendered by ray casting on a device with Warp.
 
 Images equal those of `ray_camera.RayCamera` to single precision. All arrays are PyTorch tensors on the device.
 
@@ -24,11 +24,10 @@ from handover_marl.geometry.kinematic_tree import TreeBank, read_tree
 from handover_marl.geometry.model_files.meshes import VisualMesh, read_visual_meshes
 from handover_marl.geometry.model_files.surfaces import read_surfaces
 from handover_marl.geometry.model_files.urdf import read_model_mtimes
-from handover_marl.geometry.panda import HAND_LINK
 from handover_marl.geometry.poses import IDENTITY
 from handover_marl.geometry.rotations import matrices_from_quaternions
 from handover_marl.simulation.camera.images import SegmentationLabel
-from handover_marl.simulation.camera.optics import CAMERA_POSITION_IN_HAND, HAND_FROM_CAMERA, INVISIBLE_LINKS, N_PIXELS
+from handover_marl.simulation.camera.optics import INVISIBLE_LINKS, WRIST_CAMERA, Pinhole
 from handover_marl.simulation.camera.warp_kernels import render_images
 from handover_marl.simulation.warp_device import WarpDevice
 from handover_marl.simulation.world import WorldState
@@ -132,12 +131,12 @@ _MESH, _FRAME, _LABEL = range(3)
 
 
 class ImageBatch(NamedTuple):
-    """Wrist-camera images of r worlds, with the pixels in image order.
+    """Images of r worlds, with their p pixels in image order.
 
     Attributes:
-        depth: (r, 50176) float32 depth along the viewing axis (m); `EMPTY_DEPTH` for background.
-        segmentation: (r, 50176) uint8 values of `SegmentationLabel`.
-        rgb: (r, 50176, 3) uint8 colours, or None.
+        depth: (r, p) float32 depth along the viewing axis (m); `Pinhole.empty_depth` for background.
+        segmentation: (r, p) uint8 values of `SegmentationLabel`.
+        rgb: (r, p, 3) uint8 colours, or None.
     """
 
     depth: AnyArray
@@ -146,7 +145,7 @@ class ImageBatch(NamedTuple):
 
 
 class WarpCamera:
-    """Wrist cameras of n worlds with visual meshes of their own.
+    """Cameras of n worlds with visual meshes of their own.
 
     The argument `rows` (r,) of methods has the numbers of r of the worlds; other arrays have one row for each of them.
 
@@ -165,9 +164,8 @@ class WarpCamera:
         self._slots = arrays.zeros((count, 0, 3), "int64")
         self._base_rotation = matrices_from_quaternions(arrays.asarray(config.panda.base_orientation, "float64"))
         self._base_position = arrays.asarray(config.panda.base_position, "float64")
-        self._hand_from_camera = arrays.asarray(HAND_FROM_CAMERA, "float64")
-        self._camera_position = arrays.asarray(CAMERA_POSITION_IN_HAND, "float64")
-        self._hand_link = 0
+        # Numbers of the frames in which cameras are mounted, by link; "" is the world.
+        self._mounts: dict[str, int] = {}
         self._bank: MeshBank | None = None
 
     def load_scene(self, row: int, assets: SceneAssets) -> None:
@@ -181,11 +179,11 @@ class WarpCamera:
         robot_base = (*panda.base_position, *panda.base_orientation)
         self._robot[row], self._hand[row] = self._robots.add(assets.panda), self._hands.add(assets.hand)
         robot_links = [joint.link for joint in read_tree(assets.panda).joints]
-        self._hand_link = robot_links.index(HAND_LINK)
         # Frames are those of the robot's links, of the hand's links, of the objects and of the world, in this order.
         first_hand_frame = len(robot_links)
         first_object_frame = first_hand_frame + len(read_tree(assets.hand).joints)
         world_frame = first_object_frame + MAX_OBJECTS
+        self._mounts = {**{link: number for number, link in enumerate(robot_links)}, "": world_frame}
         slots: list[tuple[int, int, int]] = []
 
         def add(meshes: list[DeviceMesh], label: SegmentationLabel, frames: Sequence[int]) -> None:
@@ -208,19 +206,21 @@ class WarpCamera:
         self._slots[row] = 0
         self._slots[row, : len(slots)] = self._arrays.asarray(np.array(slots))
 
-    def render_wrist_camera(self, rows: AnyArray, states: WorldState, color: bool) -> ImageBatch:
-        """Render wrist-camera images of the worlds `rows` (r,) in `states` (r, ...), with all bodies of the scenes.
+    def render(self, rows: AnyArray, states: WorldState, color: bool, camera: Pinhole = WRIST_CAMERA) -> ImageBatch:
+        """Render images of the worlds `rows` (r,) in `states` (r, ...), with all bodies of the scenes.
 
         With `color`, images have the colours of the models' materials and textures in PyBullet's light.
         """
-        return self._render(rows, states, tuple(SegmentationLabel), color)
+        return self._render(rows, states, tuple(SegmentationLabel), color, camera)
 
-    def render_targets(self, rows: AnyArray, states: WorldState, with_others: bool = False) -> ImageBatch:
+    def render_targets(
+        self, rows: AnyArray, states: WorldState, with_others: bool = False, camera: Pinhole = WRIST_CAMERA
+    ) -> ImageBatch:
         """Render the visible pixels of target objects and hands of the worlds `rows` (r,) in `states` (r, ...).
 
         With `with_others`, pixels of the other objects are rendered, too. All other pixels are background.
         """
-        return self._render(rows, states, _OBJECTS if with_others else _TARGETS, False)
+        return self._render(rows, states, _OBJECTS if with_others else _TARGETS, False, camera)
 
     def sample_pixels(
         self, images: ImageBatch, label: SegmentationLabel, limit: int, seeds: AnyArray, steps: AnyArray, stream: int
@@ -238,17 +238,18 @@ class WarpCamera:
             stream: Number of the random stream.
 
         Returns:
-            Numbers (r, limit) of the pixels, ascending; `N_PIXELS` in place of missing pixels.
+            Numbers (r, limit) of the pixels, ascending; the number of pixels in place of missing ones.
         """
         xp, segmentation = self._arrays.xp, images.segmentation
+        n_pixels = segmentation.shape[1]
         with self._device.use():
             states = _scramble(_scramble(seeds) + stream) + steps
-            keys = _scramble(_scramble(states)[:, None] + self._arrays.arange(N_PIXELS))
+            keys = _scramble(_scramble(states)[:, None] + self._arrays.arange(n_pixels))
             # Keys of 32 bits differ within an image; other pixels come after those with the label.
             keys = xp.where(segmentation == int(label), keys, 2**32)
             chosen = xp.topk(keys, limit, dim=1, largest=False, sorted=False).indices
             is_labelled = xp.take_along_dim(segmentation, chosen, dim=1) == int(label)
-            return xp.sort(xp.where(is_labelled, chosen, N_PIXELS), axis=1)
+            return xp.sort(xp.where(is_labelled, chosen, n_pixels), axis=1)
 
     def close(self) -> None:
         """Free the meshes; no world can be rendered until its next reset."""
@@ -257,7 +258,7 @@ class WarpCamera:
         self._slots = self._slots[:, :0]
 
     def _render(
-        self, rows: AnyArray, states: WorldState, wanted: tuple[SegmentationLabel, ...], color: bool
+        self, rows: AnyArray, states: WorldState, wanted: tuple[SegmentationLabel, ...], color: bool, camera: Pinhole
     ) -> ImageBatch:
         if self._bank is None:
             raise ResetNeededError("no world has a scene; call reset() first")
@@ -265,33 +266,40 @@ class WarpCamera:
         with self._device.use():
             if color:
                 self._bank.read_colors()
-            inputs = self._make_kernel_inputs(self._bank, rows, states)
-            shape = (len(rows), N_PIXELS)
+            inputs = self._make_kernel_inputs(self._bank, rows, states, camera)
+            shape = (len(rows), camera.n_pixels)
             depth = xp.empty(shape, dtype=xp.float32, device=arrays.device)
             segmentation = xp.empty(shape, dtype=xp.uint8, device=arrays.device)
             rgb = xp.empty((*shape, 3) if color else (0, 0, 3), dtype=xp.uint8, device=arrays.device)
             warp.launch(
                 render_images,
                 shape,
-                [*inputs, sum(1 << label for label in wanted), SegmentationLabel.BACKGROUND in wanted],
+                [
+                    *(*inputs, sum(1 << label for label in wanted), SegmentationLabel.BACKGROUND in wanted),
+                    *(camera.width, warp.vec4(*camera.focal, *camera.principal)),
+                    *(camera.near, float(camera.empty_depth)),
+                ],
                 [warp.from_torch(tensor) for tensor in (depth, segmentation, rgb)],
             )
         return ImageBatch(depth, segmentation, rgb if color else None)
 
-    def _make_kernel_inputs(self, bank: MeshBank, rows: AnyArray, states: WorldState) -> "list[warp.array]":
+    def _make_kernel_inputs(
+        self, bank: MeshBank, rows: AnyArray, states: WorldState, camera: Pinhole
+    ) -> "list[warp.array]":
         """Make the first inputs of `render_images`: meshes of the worlds in the frame of the camera, and the camera."""
         xp = self._arrays.xp
         origins, rotations = self._compute_frames(rows, states)
-        hand_origin, hand_rotation = origins[:, self._hand_link], rotations[:, self._hand_link]
-        camera = hand_rotation @ self._hand_from_camera
-        pinhole = hand_origin + (hand_rotation @ self._camera_position[:, None])[..., 0]
+        mount = self._mounts[camera.link]
+        axes, position = (self._arrays.asarray(own, "float64") for own in (camera.axes, camera.position))
+        turned = rotations[:, mount] @ axes
+        pinhole = origins[:, mount] + (rotations[:, mount] @ position[:, None])[..., 0]
         slots = self._slots[rows]
         meshes, frames, labels = slots[..., _MESH], slots[..., _FRAME], slots[..., _LABEL]
         is_absent = (labels == int(SegmentationLabel.HAND)) & (states.hand_present <= 0.0)
         meshes = xp.where(is_absent, 0, meshes)
         worlds = self._arrays.arange(len(rows))[:, None]
-        turns = camera[:, None].mT @ rotations[worlds, frames]
-        places = ((origins[worlds, frames] - pinhole[:, None])[..., None, :] @ camera[:, None])[..., 0, :]
+        turns = turned[:, None].mT @ rotations[worlds, frames]
+        places = ((origins[worlds, frames] - pinhole[:, None])[..., None, :] @ turned[:, None])[..., 0, :]
         spheres = widen(bank.spheres.rows[meshes])
         centers = places + (turns @ spheres[..., :3, None])[..., 0]
         inputs = (
@@ -304,7 +312,7 @@ class WarpCamera:
             (bank.corners.rows, warp.vec2),
             (bank.textures.rows, warp.vec3i),
             (bank.texels.rows, warp.vec3ub),
-            (camera, warp.mat33),
+            (turned, warp.mat33),
             (pinhole, warp.vec3),
         )
         return [self._convert(tensor, dtype) for tensor, dtype in inputs]

@@ -10,21 +10,13 @@ from handover_marl.simulation.camera.optics import (
     AMBIENT,
     BACK_FACE_OFFSET,
     DIFFUSE,
-    EMPTY_DEPTH,
     GROUND,
-    HALF_SIZE_PX,
-    IMAGE_SIZE,
     LIGHT,
     MAX_BACK_FACES,
-    NEAR,
-    SAMPLE_OFFSET_PX,
     SKY,
     SPECULAR,
 )
 
-_IMAGE_SIZE, _HALF_SIZE = warp.constant(IMAGE_SIZE), warp.constant(HALF_SIZE_PX)
-_OFFSET_RIGHT, _OFFSET_DOWN = map(warp.constant, SAMPLE_OFFSET_PX)
-_NEAR, _EMPTY_DEPTH = warp.constant(NEAR), warp.constant(float(EMPTY_DEPTH))
 _BACK_FACE_OFFSET, _MAX_BACK_FACES = warp.constant(BACK_FACE_OFFSET), warp.constant(MAX_BACK_FACES)
 _LIGHT = warp.constant(warp.vec3(*LIGHT))
 _AMBIENT, _DIFFUSE, _SPECULAR = map(warp.constant, (AMBIENT, DIFFUSE, SPECULAR))
@@ -33,19 +25,21 @@ _BACKGROUND = warp.constant(int(SegmentationLabel.BACKGROUND))
 
 
 @warp.func
-def compute_ray(pixel: int) -> warp.vec3:
-    """Return the direction of the ray of a pixel, by number, in the camera's frame, with z = 1."""
-    column, row = pixel % _IMAGE_SIZE, pixel // _IMAGE_SIZE
-    right = float(column) + _OFFSET_RIGHT - _HALF_SIZE
-    down = float(row) + _OFFSET_DOWN - _HALF_SIZE
-    return warp.vec3(right / _HALF_SIZE, down / _HALF_SIZE, 1.0)
+def compute_ray(pixel: int, width: int, intrinsics: warp.vec4) -> warp.vec3:
+    """Return the direction of the ray of a pixel, by number, in the camera's frame, with z = 1.
+
+    `width` is that of the image (pixels); `intrinsics` are focal lengths and principal point (pixels).
+    """
+    column, row = pixel % width, pixel // width
+    right, down = float(column) - intrinsics[2], float(row) - intrinsics[3]
+    return warp.vec3(right / intrinsics[0], down / intrinsics[1], 1.0)
 
 
 @warp.func
-def is_near_sphere(ray: warp.vec3, sphere: warp.vec4, far: float) -> bool:
-    """Return whether a ray from the near plane to depth `far` (m) may hit a sphere, given by center and radius (m)."""
+def is_near_sphere(ray: warp.vec3, sphere: warp.vec4, near: float, far: float) -> bool:
+    """Return whether a ray from depth `near` to `far` (m) may hit a sphere, given by center and radius (m)."""
     center, radius = warp.vec3(sphere[0], sphere[1], sphere[2]), sphere[3]
-    if center[2] + radius < _NEAR or center[2] - radius > far:
+    if center[2] + radius < near or center[2] - radius > far:
         return False
     return warp.length_sq(warp.cross(center, ray)) <= radius * radius * warp.length_sq(ray)
 
@@ -68,8 +62,10 @@ class FaceHit:
 
 
 @warp.func
-def cast_ray(mesh: warp.uint64, rotation: warp.mat33, origin: warp.vec3, ray: warp.vec3, far: float) -> FaceHit:
-    """Return the first front face of a mesh that a ray from the camera hits before depth `far` (m), -1 if none.
+def cast_ray(
+    mesh: warp.uint64, rotation: warp.mat33, origin: warp.vec3, ray: warp.vec3, near: float, far: float
+) -> FaceHit:
+    """Return the first front face of a mesh that a ray from the camera hits from depth `near` to `far` (m), -1 if none.
 
     `rotation` and `origin` are the pose of the mesh in the camera's frame, in which `ray` is a direction with z = 1.
     """
@@ -78,7 +74,7 @@ def cast_ray(mesh: warp.uint64, rotation: warp.mat33, origin: warp.vec3, ray: wa
     hit = FaceHit()
     hit.face = -1
     # Numbers that a loop changes must have a type.
-    begin, left = warp.float32(_NEAR), warp.int32(_MAX_BACK_FACES)
+    begin, left = warp.float32(near), warp.int32(_MAX_BACK_FACES)
     while left >= 0:
         query = warp.mesh_query_ray(mesh, start + begin * direction, direction, far - begin)
         left -= 1
@@ -137,6 +133,10 @@ def render_images(
     pinholes: warp.array[warp.vec3],
     wanted: int,
     has_ground: bool,
+    width: int,
+    intrinsics: warp.vec4,
+    near: float,
+    empty_depth: float,
     depths: warp.array2d[float],
     segmentation: warp.array2d[warp.uint8],
     rgb: warp.array3d[warp.uint8],
@@ -157,27 +157,31 @@ def render_images(
         pinholes: Positions (w,) of the cameras in the world.
         wanted: Bits of the labels of the wanted bodies.
         has_ground: Whether to draw the ground.
-        depths: Depth (w, 50176), an output.
-        segmentation: Segmentation labels (w, 50176), an output.
-        rgb: Colours (w, 50176, 3), an output; (0, 0, 0) for images without colours.
+        width: Width of the images (pixels).
+        intrinsics: Focal lengths and principal point (pixels).
+        near: Distance of the near plane (m).
+        empty_depth: Depth of background pixels (m).
+        depths: Depth (w, p) of p pixels, an output.
+        segmentation: Segmentation labels (w, p), an output.
+        rgb: Colours (w, p, 3), an output; (0, 0, 0) for images without colours.
     """
     world, pixel = warp.tid()
-    ray = compute_ray(pixel)
+    ray = compute_ray(pixel, width, intrinsics)
     camera = cameras[world]
     descent = camera[2, 0] * ray[0] + camera[2, 1] * ray[1] + camera[2, 2] * ray[2]
-    ground = warp.float32(_EMPTY_DEPTH)
+    ground = warp.float32(empty_depth)
     if descent != 0.0:
         ground = -pinholes[world][2] / descent
-    is_ground = ground > _NEAR and ground < _EMPTY_DEPTH
-    best, owner = warp.float32(_EMPTY_DEPTH), warp.int32(-1)
+    is_ground = ground > near and ground < empty_depth
+    best, owner = warp.float32(empty_depth), warp.int32(-1)
     if is_ground:
         best = ground
     first = FaceHit()
     for slot in range(meshes.shape[1]):
         mesh = warp.uint64(meshes[world, slot])
         is_wanted = (wanted >> int(labels[world, slot])) & 1 == 1
-        if is_wanted and mesh != warp.uint64(0) and is_near_sphere(ray, spheres[world, slot], best):
-            hit = cast_ray(mesh, rotations[world, slot], origins[world, slot], ray, best)
+        if is_wanted and mesh != warp.uint64(0) and is_near_sphere(ray, spheres[world, slot], near, best):
+            hit = cast_ray(mesh, rotations[world, slot], origins[world, slot], ray, near, best)
             if hit.face >= 0:
                 best = hit.depth
                 owner = slot
@@ -187,8 +191,8 @@ def render_images(
         for slot in range(meshes.shape[1]):
             mesh = warp.uint64(meshes[world, slot])
             is_other = owner >= 0 and (wanted >> int(labels[world, slot])) & 1 == 0
-            if is_other and mesh != warp.uint64(0) and is_near_sphere(ray, spheres[world, slot], best):
-                hit = cast_ray(mesh, rotations[world, slot], origins[world, slot], ray, best)
+            if is_other and mesh != warp.uint64(0) and is_near_sphere(ray, spheres[world, slot], near, best):
+                hit = cast_ray(mesh, rotations[world, slot], origins[world, slot], ray, near, best)
                 if hit.face >= 0:
                     owner = -1
     color = warp.vec3(_SKY)
@@ -205,7 +209,7 @@ def render_images(
                 color = warp.vec3(_ODD)
             color = shade(color, warp.vec3(0.0, 0.0, 1.0))
         else:
-            depths[world, pixel] = _EMPTY_DEPTH
+            depths[world, pixel] = empty_depth
     if rgb.shape[0] > 0:
         if owner >= 0:
             face = int(first_faces[world, owner]) + first.face

@@ -12,7 +12,7 @@ import torch
 
 import handover_marl
 from handover_marl.envs.custom_rewards import combine_rewards
-from handover_marl.episode import warp_wrist_camera
+from handover_marl.episode import warp_sensors
 from handover_marl.errors import OptionError
 from handover_marl.geometry.arrays import to_numpy
 from handover_marl.learning.custom_encodings import declare_size
@@ -155,11 +155,11 @@ def test_spaces_contain_observations() -> None:
 @pytest.mark.slow
 def test_episodes_and_their_clouds_repeat(monkeypatch: pytest.MonkeyPatch) -> None:
     """Clouds depend on the seed of an environment, neither on the others nor on the size of chunks."""
-    monkeypatch.setattr(warp_wrist_camera, "N_POINTS", 32)
-    monkeypatch.setitem(warp_wrist_camera.camera_observation_space.__globals__, "N_POINTS", 32)
+    monkeypatch.setattr(warp_sensors, "N_POINTS", 32)
+    monkeypatch.setitem(warp_sensors.camera_observation_space.__globals__, "N_POINTS", 32)
     found = []
     for chunk in (64, 2):
-        monkeypatch.setattr(warp_wrist_camera, "_CHUNK", chunk)
+        monkeypatch.setattr(warp_sensors, "_CHUNK", chunk)
         envs = handover_marl.vector_env(COUNT, obs_mode="pointcloud", **WARP, **RECEIVERS)
         observations, _ = envs.reset(seed=[SEED, SEED, SEED + 1])
         found.append(read_rows(observations))

@@ -36,9 +36,9 @@ def played(request: pytest.FixtureRequest) -> Iterator[FinishedEpisode]:
     moments, photos = [], []
     for steps in STEPS:
         episode.advance(GOAL, steps)
-        photos.append(episode.world.render_wrist_camera(None, color=True))
+        photos.append(episode.world.render_camera(None, color=True))
         for moment in moments:
-            episode.world.render_wrist_camera(moment, False)
+            episode.world.render_camera(moment, False)
         moments.append(episode.world.read_joint_snapshot())
     yield episode, moments, photos
     episode.close()
@@ -50,24 +50,24 @@ def test_images_of_earlier_steps_are_bit_equal_in_any_order(played: FinishedEpis
     assert not photos[0].compute_mask(SegmentationLabel.HAND).any()
     assert min(photos[2].compute_mask(label).sum() for label in SegmentationLabel) > 50
     for moment, photo in zip(moments, photos, strict=True):
-        assert_close(episode.world.render_wrist_camera(moment, True), photo)
-    first = [episode.world.render_wrist_camera(moment, False) for moment in moments]
-    again = [episode.world.render_wrist_camera(moment, False) for moment in moments[::-1]][::-1]
+        assert_close(episode.world.render_camera(moment, True), photo)
+    first = [episode.world.render_camera(moment, False) for moment in moments]
+    again = [episode.world.render_camera(moment, False) for moment in moments[::-1]][::-1]
     for one, other in zip(first, again, strict=True):
         np.testing.assert_array_equal(one.depth, other.depth)
         np.testing.assert_array_equal(one.segmentation, other.segmentation)
     # PyBullet keeps light and shadows of an image for the next one, unless that has its own.
     episode.render(CameraConfig(width=32, height=24))
-    np.testing.assert_array_equal(episode.world.render_wrist_camera(None, color=True).rgb, photos[-1].rgb)
+    np.testing.assert_array_equal(episode.world.render_camera(None, color=True).rgb, photos[-1].rgb)
 
 
 def test_bodies_of_the_previous_scene_are_removed(played: FinishedEpisode) -> None:
     episode, fresh, scene = played[0], Episode("fast"), DATA.load_scene(209)
     for world in (episode, fresh):
         world.reset(scene)
-    photo = fresh.world.render_wrist_camera(None, False)
+    photo = fresh.world.render_camera(None, False)
     for moment in (None, episode.world.read_joint_snapshot()):
-        assert_close(episode.world.render_wrist_camera(moment, False), photo)
+        assert_close(episode.world.render_camera(moment, False), photo)
     # Table pixels that are deprojected with a pinhole model lie on the top of the table, except for legs and edge.
     gripper = fresh.world.read_state().gripper_pose.astype(np.float64)
     rows, columns = np.nonzero(photo.compute_mask(SegmentationLabel.TABLE))

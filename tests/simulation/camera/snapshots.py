@@ -11,7 +11,7 @@ from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import HAND_LINK, LOWER_LIMITS, UPPER_LIMITS
 from handover_marl.geometry.rotations import quaternions_from_euler
 from handover_marl.simulation.camera.images import JointSnapshot
-from handover_marl.simulation.camera.optics import CAMERA_POSITION_IN_HAND, HAND_FROM_CAMERA
+from handover_marl.simulation.camera.optics import WRIST_CAMERA
 from handover_marl.simulation.world import WorldState
 
 
@@ -42,7 +42,7 @@ def place_in_view(
     origins, turns = (value[0] for value in tree.compute_link_frames(robot[None]))
     link = tree.get_link(HAND_LINK)
     base = Rotation.from_quat(config.panda.base_orientation)
-    points = np.asarray(places) @ np.array(HAND_FROM_CAMERA).T + CAMERA_POSITION_IN_HAND
+    points = np.asarray(places) @ np.array(WRIST_CAMERA.axes).T + WRIST_CAMERA.position
     return np.asarray(base.apply(points @ turns[link].T + origins[link]) + config.panda.base_position)
 
 

@@ -94,9 +94,9 @@ def test_renderers_draw_the_same_colours(request: pytest.FixtureRequest, tmp_pat
         device.load_scene(0, scene.assets)
         for _ in range(4):
             now = draw_snapshot(scene, CONFIG, rng)
-            drawn = bullet.render_wrist_camera(now, color=True)
-            cast = rays.render_wrist_camera(now, color=True)
-            images = device.render_wrist_camera(TENSORS.arange(1), stack_states([now], TENSORS), color=True)
+            drawn = bullet.render(now, color=True)
+            cast = rays.render(now, color=True)
+            images = device.render(TENSORS.arange(1), stack_states([now], TENSORS), color=True)
             assert drawn.rgb is not None
             assert cast.rgb is not None
             own_rgb, own_labels = (to_numpy(values[0]) for values in (images.rgb, images.segmentation))
@@ -118,7 +118,7 @@ def test_textures_are_drawn_in_place(tmp_path: Path) -> None:
     shown = 0
     for _ in range(3):
         now = draw_snapshot(scene, CONFIG, rng, nearest=0.15)
-        drawn, cast = (camera.render_wrist_camera(now, True) for camera in (bullet, rays))
+        drawn, cast = (camera.render(now, True) for camera in (bullet, rays))
         assert drawn.rgb is not None
         assert cast.rgb is not None
         both = drawn.compute_mask(SegmentationLabel.TARGET) & cast.compute_mask(SegmentationLabel.TARGET)

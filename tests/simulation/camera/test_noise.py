@@ -17,7 +17,7 @@ from handover_marl.simulation.camera.noise import (
     apply_camera_noise,
     resolve_camera_noise,
 )
-from handover_marl.simulation.camera.optics import EMPTY_DEPTH
+from handover_marl.simulation.camera.optics import WRIST_CAMERA
 
 SHAPE = (224, 224)
 NONE = CameraNoise(depth_noise_std=0.0, edge_dropout=0.0, latency=0.0)
@@ -26,7 +26,7 @@ NONE = CameraNoise(depth_noise_std=0.0, edge_dropout=0.0, latency=0.0)
 def make_patches(seed: int) -> CameraImage:
     """Return an image of rectangles at random depths before an empty background; some steps are too small for edges."""
     rng = np.random.default_rng(seed)
-    depth, seen = np.full(SHAPE, EMPTY_DEPTH, dtype=np.float32), np.zeros(SHAPE, dtype=np.uint8)
+    depth, seen = np.full(SHAPE, WRIST_CAMERA.empty_depth, dtype=np.float32), np.zeros(SHAPE, dtype=np.uint8)
     for _ in range(12):
         row, column, high, wide = rng.integers(0, [200, 200, 90, 90])
         place = slice(row, row + high + 1), slice(column, column + wide + 1)
@@ -55,7 +55,7 @@ def test_pixels_without_noise_are_unchanged() -> None:
     assert same.segmentation.dtype == np.uint8
     others = np.ones(SHAPE, dtype=bool)
     others[::2, ::2] = False
-    for name, empty in (("depth", EMPTY_DEPTH), ("segmentation", SegmentationLabel.BACKGROUND)):
+    for name, empty in (("depth", WRIST_CAMERA.empty_depth), ("segmentation", SegmentationLabel.BACKGROUND)):
         np.testing.assert_array_equal(getattr(half, name), np.where(others, empty, getattr(photo, name)))
 
 
@@ -75,8 +75,8 @@ def test_only_edge_pixels_are_dropped(seed: int, share: float, step: float) -> N
     photo = make_patches(seed)
     camera = CameraNoise(depth_noise_std=0.001, edge_dropout=share, edge_threshold=step)
     worse, edges = worsen(photo, camera, seed), find_edges(photo.depth, step)
-    there = photo.depth < EMPTY_DEPTH
-    lost, wanted = there & (worse.depth == EMPTY_DEPTH), edges & there
+    there = photo.depth < WRIST_CAMERA.empty_depth
+    lost, wanted = there & (worse.depth == WRIST_CAMERA.empty_depth), edges & there
     assert not (lost & ~edges).any()
     assert lost.sum() == pytest.approx(share * wanted.sum(), abs=5.0 * np.sqrt(wanted.sum() / 4) + 1.0)
     np.testing.assert_array_equal(

@@ -6,10 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from handover_marl.simulation.camera.optics import (
-    FAR,
     HANDOVERSIM_MODEL,
-    NEAR,
     PINHOLE_MODEL,
+    WRIST_CAMERA,
     deproject,
 )
 
@@ -26,7 +25,7 @@ def image_positions(points: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
 
 def random_picture(seed: int) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
     rng = np.random.default_rng(seed)
-    depth = rng.uniform(NEAR, FAR, SHAPE).astype(np.float32)
+    depth = rng.uniform(WRIST_CAMERA.near, WRIST_CAMERA.far, SHAPE).astype(np.float32)
     return depth, rng.random(SHAPE) < rng.choice([0.001, 0.1, 0.9])
 
 

@@ -13,7 +13,7 @@ from handover_marl.datasets.dataset import Scene
 from handover_marl.geometry.panda import FINGERTIPS, PANDA_CAMERA
 from handover_marl.simulation.bullet.rendering import SceneRenderer
 from handover_marl.simulation.camera.images import CameraImage, JointSnapshot, SegmentationLabel
-from handover_marl.simulation.camera.optics import CAMERA_POSITION_IN_HAND, EMPTY_DEPTH
+from handover_marl.simulation.camera.optics import WRIST_CAMERA
 from handover_marl.simulation.camera.ray_camera import RayCamera
 from tests.simulation.camera.snapshots import draw_snapshot, place_in_view
 
@@ -62,7 +62,7 @@ def count_agreement(stand: Stand, snapshots: list[JointSnapshot]) -> npt.NDArray
     """Return the pixels (3, 6) that either and both renderers show by label, and those of equal depth among both."""
     counts = np.zeros((3, len(SegmentationLabel)), dtype=int)
     for now in snapshots:
-        drawn, cast = (one.render_wrist_camera(now, False) for one in (stand.engine, stand.rays))
+        drawn, cast = (one.render(now, False) for one in (stand.engine, stand.rays))
         near = np.abs(drawn.depth - cast.depth) < 1e-4
         for label in SegmentationLabel:
             one, other = drawn.compute_mask(label), cast.compute_mask(label)
@@ -83,11 +83,11 @@ def assert_agree(
 
 def assert_targets_equal_the_whole_image(rays: RayCamera, now: JointSnapshot) -> None:
     """Check that images of targets equal the whole image at their pixels and are empty elsewhere."""
-    whole = rays.render_wrist_camera(now, False)
+    whole = rays.render(now, False)
     for labels in (TARGET_LABELS, (*TARGET_LABELS, SegmentationLabel.OTHER_OBJECT)):
         part, wanted = rays.render_targets(now, with_others=len(labels) == 3), np.isin(whole.segmentation, labels)
         np.testing.assert_array_equal(part.segmentation, np.where(wanted, whole.segmentation, 0))
-        np.testing.assert_array_equal(part.depth, np.where(wanted, whole.depth, EMPTY_DEPTH))
+        np.testing.assert_array_equal(part.depth, np.where(wanted, whole.depth, WRIST_CAMERA.empty_depth))
 
 
 @pytest.mark.slow
@@ -120,7 +120,7 @@ def test_rays_match_the_engine_for_a_grasped_object(
     stand, robot, snapshots = stands[209], START.copy(), []
     robot[7:] = fingers
     # Right, down and ahead of the camera.
-    x, y, z = np.subtract(place, CAMERA_POSITION_IN_HAND)
+    x, y, z = np.subtract(place, WRIST_CAMERA.position)
     points = place_in_view(stand.scene, stand.config, robot, [[y, -x, z], [y, -x - 0.05, z + 0.1]])
     objects = np.tile(np.float32([5.0, 5.0, 1.0, 0.0, 0.0, 0.0]), (len(stand.scene.assets.objects), 1))
     for turn in ([0.3, 1.2, -0.5], [1.5, 0.1, 0.7]):
@@ -137,7 +137,7 @@ def test_no_hand_pixels_without_a_hand(stands: dict[int, Stand]) -> None:
     stand = stands[9]
     here = stand.draw(np.random.default_rng(3))
     gone = here._replace(hand=None)
-    with_hand, without = (stand.rays.render_wrist_camera(now, False) for now in (here, gone))
+    with_hand, without = (stand.rays.render(now, False) for now in (here, gone))
     kept = ~with_hand.compute_mask(SegmentationLabel.HAND)
     assert (~kept).sum() > 100
     assert not without.compute_mask(SegmentationLabel.HAND).any()
@@ -161,8 +161,8 @@ def test_images_do_not_depend_on_earlier_images(stands: dict[int, Stand]) -> Non
     """Images do not depend on earlier ones, although scenes share bodies, which cache their last poses."""
     views = [(stand, stand.draw(np.random.default_rng(number))) for number in range(2) for stand in stands.values()]
     views += [(stand, now._replace(robot=views[0][1].robot)) for stand, now in views[:2]]
-    taken = [stand.rays.render_wrist_camera(now, False) for stand, now in views]
-    again = [stand.rays.render_wrist_camera(now, True) for stand, now in views[::-1]][::-1]
+    taken = [stand.rays.render(now, False) for stand, now in views]
+    again = [stand.rays.render(now, True) for stand, now in views[::-1]][::-1]
     for first, second in zip(taken, again, strict=True):
         assert first.rgb is None
         assert_same_bits(first, second)

@@ -17,7 +17,7 @@ from handover_marl.errors import OptionError
 from handover_marl.geometry.arrays import make_tensor_factory, to_numpy
 from handover_marl.geometry.panda import PANDA_CAMERA
 from handover_marl.simulation.camera.images import CameraImage, SegmentationLabel
-from handover_marl.simulation.camera.optics import N_PIXELS
+from handover_marl.simulation.camera.optics import WRIST_CAMERA
 from handover_marl.simulation.camera.ray_camera import RayCamera
 from handover_marl.simulation.camera.warp_camera import ImageBatch, WarpCamera
 from tests.simulation.camera.snapshots import draw_snapshot, place_in_view, stack_states
@@ -75,16 +75,16 @@ def test_images_equal_those_of_the_processor(request: pytest.FixtureRequest, dat
     for number in range(2):
         now = [draw_snapshot(scene, config, rng, has_hand=(number + row) % 3 > 0) for row, scene in enumerate(scenes)]
         batch = stack_states(now, TENSORS)
-        images = camera.render_wrist_camera(rows, batch, color=True)
+        images = camera.render(rows, batch, color=True)
         targets, objects = (camera.render_targets(rows, batch, with_others) for with_others in (False, True))
         for row, (single, own) in enumerate(zip(singles, now, strict=True)):
-            counts += compare(images, row, single.render_wrist_camera(own, True))
+            counts += compare(images, row, single.render(own, True))
             compare(targets, row, single.render_targets(own))
             compare(objects, row, single.render_targets(own, with_others=True))
             assert own.hand is not None or not (images.segmentation[row] == HAND).any()
     assert counts.min() > 500
     # Images do not depend on the other worlds.
-    some = camera.render_wrist_camera(TENSORS.asarray([2, 0]), stack_states([now[2], now[0]], TENSORS), color=True)
+    some = camera.render(TENSORS.asarray([2, 0]), stack_states([now[2], now[0]], TENSORS), color=True)
     for found, expected in zip(some, images, strict=True):
         np.testing.assert_array_equal(found, expected[[2, 0]])
     camera.close()
@@ -102,9 +102,9 @@ def test_worlds_change_their_scenes(request: pytest.FixtureRequest) -> None:
     now = draw_snapshot(scenes[1], CONFIG, rng, nearest=0.3)
     # A target around the camera shows back faces only, which are invisible.
     now.objects[0, :3] = place_in_view(scenes[1], CONFIG, now.robot, [0.0, 0.0, 0.0])
-    images = camera.render_wrist_camera(TENSORS.arange(1), stack_states([now], TENSORS), color=False)
+    images = camera.render(TENSORS.arange(1), stack_states([now], TENSORS), color=False)
     assert images.rgb is None
-    compare(images, 0, singles[1].render_wrist_camera(now, False))
+    compare(images, 0, singles[1].render(now, False))
     assert not (images.segmentation[0] == TARGET).any()
 
     with pytest.raises(OptionError, match="all robots must have the same joints with backend='warp'"):
@@ -124,12 +124,12 @@ def sample(masks: list[Flags], seeds: list[int], steps: list[int], stream: int =
 
 def test_pixels_are_chosen_at_random_without_replacement() -> None:
     rng = np.random.default_rng(0)
-    masks = [rng.permutation(N_PIXELS) < count for count in (0, 1, 700, 1024)]
+    masks = [rng.permutation(WRIST_CAMERA.n_pixels) < count for count in (0, 1, 700, 1024)]
     for mask, chosen in zip(masks, sample(masks, [1, 2, 3, 4], [0, 1, 2, 3]), strict=True):
         expected = np.flatnonzero(mask)
         np.testing.assert_array_equal(chosen[: len(expected)], expected)
-        assert (chosen[len(expected) :] == N_PIXELS).all()
-    mask = rng.random(N_PIXELS) < 0.5
+        assert (chosen[len(expected) :] == WRIST_CAMERA.n_pixels).all()
+    mask = rng.random(WRIST_CAMERA.n_pixels) < 0.5
     found = sample([mask] * 64, list(range(64)), [7] * 64)
     assert mask[found].all()
     assert (np.diff(found, axis=1) > 0).all()
@@ -139,7 +139,7 @@ def test_pixels_are_chosen_at_random_without_replacement() -> None:
 
 
 def test_choices_depend_on_seed_steps_and_stream_only() -> None:
-    mask = np.arange(N_PIXELS) % 3 == 0
+    mask = np.arange(WRIST_CAMERA.n_pixels) % 3 == 0
     seeds, steps = [5, 6, 5, 2**32 - 1], [100, 100, 200, 13_000]
     found = sample([mask] * 4, seeds, steps)
     for row in range(4):

@@ -35,7 +35,7 @@ from handover_marl.learning.imitation.samples import generate_samples, join_samp
 from handover_marl.policies.policy import make_policy_context
 from handover_marl.receivers.gaddpg import GRIPPER_POINTS, PointCloudMemory
 from handover_marl.simulation.camera.images import JointSnapshot, SegmentationLabel
-from handover_marl.simulation.camera.optics import CAMERA_POSITION_IN_HAND, deproject
+from handover_marl.simulation.camera.optics import WRIST_CAMERA, deproject
 from handover_marl.simulation.camera.ray_camera import RayCamera
 
 Array = npt.NDArray[np.float64]
@@ -212,7 +212,7 @@ class DataGenerator:
         points = deproject(image.depth, image.compute_mask(SegmentationLabel.TARGET))
         hand = self._arm.arm.compute_hand_pose(rollout.joints)
         if scenario.occluder[3] > 0.0 and len(points):
-            camera = np.array(CAMERA_POSITION_IN_HAND)
+            camera = np.array(WRIST_CAMERA.position)
             points = points[~find_occluded_points(points, hand, camera, scenario.occluder)]
         base_from_hand = self._base_from_hand(rollout)
         memory.update(points, base_from_hand)

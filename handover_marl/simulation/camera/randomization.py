@@ -1,0 +1,93 @@
+"""Randomisation of cameras (domain randomisation): one draw for each camera and episode."""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from handover_marl.config import CheckedConfig, bounded
+from handover_marl.simulation.camera.images import CameraImage, SegmentationLabel
+from handover_marl.simulation.camera.noise import CameraNoise
+from handover_marl.simulation.camera.optics import Pinhole, to_rows
+
+
+@dataclass(frozen=True)
+class CameraRandomization(CheckedConfig):
+    """Largest deviations of cameras from their configuration, drawn uniformly at the start of each episode.
+
+    The default changes nothing. Calibration and point clouds are those of the configuration, so that errors of the
+    camera are errors of the points.
+
+    Attributes:
+        color: Largest relative change of red, green and blue, each on its own, of all pixels with a segmentation label.
+        brightness: Largest relative change of the light, the same in the whole image.
+        position: Largest error of the camera's position along each of its axes (m).
+        rotation: Largest error of the camera's orientation: component of a rotation vector in its frame (rad).
+        focal: Largest relative error of the focal length.
+        principal: Largest error of the principal point, right and down (pixels).
+        depth_noise_std: Largest addition to `CameraNoise.depth_noise_std`, at least 0 (m at 1 m).
+        latency: Largest addition to `CameraNoise.latency`, at least 0 (s).
+
+    Raises:
+        OptionError: A value is out of range.
+    """
+
+    color: float = bounded(0.0, 0.0, 1.0)
+    brightness: float = bounded(0.0, 0.0, 1.0)
+    position: float = bounded(0.0, 0.0, 0.1)
+    rotation: float = bounded(0.0, 0.0, 0.5)
+    focal: float = bounded(0.0, 0.0, 0.5)
+    principal: float = bounded(0.0, 0.0, 100.0)
+    depth_noise_std: float = bounded(0.0, 0.0, 1.0)
+    latency: float = bounded(0.0, 0.0, 1.0)
+
+    def draw(self, camera: Pinhole, noise: CameraNoise | None, rng: np.random.Generator) -> "CameraDraw":
+        """Draw the camera of one episode, given that of its configuration and its noise; None is no noise."""
+        # The number of draws is always the same, so that a value does not depend on the other deviations.
+        unit = rng.uniform(-1.0, 1.0, 30)
+        share = rng.random(2)
+        focal, principal = 1.0 + self.focal * unit[0], camera.principal + self.principal * unit[1:3]
+        axes, position = np.array(camera.axes), np.array(camera.position)
+        if self.position or self.rotation:
+            position = position + axes @ (self.position * unit[3:6])
+            axes = axes @ Rotation.from_rotvec(self.rotation * unit[6:9]).as_matrix()
+        drawn = replace(
+            camera,
+            focal=(camera.focal[0] * focal, camera.focal[1] * focal),
+            principal=tuple(principal.tolist()),
+            position=tuple(position.tolist()),
+            axes=to_rows(axes),
+        )
+        gains = (1.0 + self.brightness * unit[9]) * (1.0 + self.color * unit[12:].reshape(len(SegmentationLabel), 3))
+        if self.depth_noise_std or self.latency:
+            base = noise or CameraNoise(depth_noise_std=0.0, edge_dropout=0.0, latency=0.0)
+            std, latency = np.array([self.depth_noise_std, self.latency]) * share
+            noise = replace(
+                base,
+                depth_noise_std=base.depth_noise_std + float(std),
+                latency=min(base.latency + float(latency), 1.0),
+            )
+        return CameraDraw(drawn, noise, gains if self.color or self.brightness else None)
+
+
+class CameraDraw(NamedTuple):
+    """Camera of one episode.
+
+    Attributes:
+        camera: The camera.
+        noise: Its noise; None for perfect images.
+        gains: Factors (6, 3) of red, green and blue by segmentation label; None for no change.
+    """
+
+    camera: Pinhole
+    noise: CameraNoise | None
+    gains: npt.NDArray[np.float64] | None
+
+    def change_colors(self, image: CameraImage) -> CameraImage:
+        """Return an image with the colours of this camera; an image without colours is returned unchanged."""
+        if image.rgb is None or self.gains is None:
+            return image
+        rgb = np.minimum(image.rgb * self.gains.astype(np.float32)[image.segmentation], 255.0)
+        return replace(image, rgb=rgb.astype(np.uint8))
