@@ -26,6 +26,7 @@ import handover_marl
 from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP
 from handover_marl.envs.vector.policy_batches import make_policy_batch
 from handover_marl.episode.observations import Observation
+from handover_marl.errors import OptionError
 from handover_marl.execution.files import write_arrays
 from handover_marl.learning.action_scheme import InvertibleScheme
 from handover_marl.learning.adapters.modules import dense_network_from_layers
@@ -148,7 +149,7 @@ class Collector:
         self._features = make_array_features("receiver", args.features, context, selector, count)
         scheme = make_array_scheme("receiver", args.actions, context, selector, count)
         if not isinstance(scheme, InvertibleScheme):
-            raise handover_marl.OptionError(f"actions must be an invertible action scheme, got {args.actions!r}")
+            raise OptionError(f"actions must be an invertible action scheme, got {args.actions!r}")
         self._scheme = scheme
         self._expert = make_policy_batch(reference, dataset, OFFICIAL_CONFIG, args.setup, count)
         self._is_student, self._is_closed = np.zeros(count, bool), np.zeros(count, bool)
@@ -166,7 +167,7 @@ class Collector:
         self._has_student, rng = student is not None, np.random.default_rng((args.seed, number, batch))
         seeds = spawn_seeds(args.num_envs, args.seed, number, batch)
         observation, _ = self._envs.reset(seed=seeds)
-        for row in self._rows:
+        for row in self._rows.tolist():
             self._start(row, observation, rng)
         for _ in range(round(args.seconds / self._period)):
             vectors = self._features(self._rows, observation)
@@ -184,7 +185,7 @@ class Collector:
             self._scheme.set_outputs(self._rows, outputs + noise)
             actions = self._scheme.compute_actions(self._rows, observation)
             observation, _, terminated, truncated, _ = self._envs.step(actions)
-            for row in np.flatnonzero(terminated | truncated):
+            for row in np.flatnonzero(terminated | truncated).tolist():
                 self._start(row, observation, rng)
         return join_samples(parts)
 
