@@ -74,7 +74,8 @@ def _play(
     """Simulate a scene to its end, for a number of steps, or until a predicate holds; return the number of steps."""
     seed = runner.config.seed
     runner.episode.reset(scene, derive_robot_seed(seed, scene))
-    run_episode(runner.episode, runner.receiver, runner.giver, seed=seed, until=until, callbacks=callbacks)
+    policies, passed = (runner.receiver, runner.giver), runner.config.inference_time
+    run_episode(runner.episode, *policies, seed=seed, until=until, callbacks=callbacks, inference_time=passed)
     return runner.episode.steps
 
 
