@@ -6,7 +6,7 @@ objects or as keyword arguments.
 
 import math
 from dataclasses import dataclass, fields, replace
-from numbers import Integral, Real
+from numbers import Integral
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -62,12 +62,13 @@ class EvaluationConfig(SceneConfig):
         if self.data_dir is not None:
             object.__setattr__(self, "data_dir", str(check_path("data_dir", self.data_dir)))
         passed: object = self.inference_time
-        is_time = isinstance(passed, Real) and not isinstance(passed, bool) and 0.0 <= passed < math.inf
-        if passed not in (None, MEASURED) and not is_time:
+        if isinstance(passed, (int, float)) and not isinstance(passed, bool) and 0.0 <= passed < math.inf:
+            passed = float(passed)
+        elif passed not in (None, MEASURED):
             raise OptionError(
                 f"inference_time must be a time of at least 0 (s), {MEASURED!r} or None, got {shorten_text(passed)}"
             )
-        object.__setattr__(self, "inference_time", float(passed) if isinstance(passed, Real) else passed)
+        object.__setattr__(self, "inference_time", passed)
 
     def open_dataset(self) -> Dataset:
         """Open the dataset that the configuration names, with its data folder and robot model.

@@ -90,13 +90,14 @@ class EpisodeRunner:
         self.episode.reset(scene, derive_robot_seed(self.config.seed, scene))
         recorders = [recorder for recorder, _ in self._recorders]
         callbacks: list[EpisodeCallback] = [self._trace_recorder, self._action_recorder, *recorders]
-        options = {"seed": self.config.seed, "inference_time": self.config.inference_time}
+        config, policies = self.config, (receiver or self.receiver, self.giver)
+        passed = config.inference_time
         try:
-            late = run_episode(self.episode, receiver or self.receiver, self.giver, callbacks=callbacks, **options)
+            late = run_episode(self.episode, *policies, seed=config.seed, callbacks=callbacks, inference_time=passed)
         except (ActionError, OptionError, PolicyError) as error:
             giver = "" if self.giver is None else f" and giver {self.giver.name!r}"
             raise type(error)(f"receiver {self.receiver.name!r}{giver} in scene {task.scene_id}: {error}") from error
-        info, trace, has_clock = scene.info, self._trace_recorder.trace, self.config.inference_time is not None
+        info, trace, has_clock = scene.info, self._trace_recorder.trace, passed is not None
         result = EpisodeResult(
             index=task.index,
             status=self.episode.status,

@@ -106,7 +106,8 @@ def render_scene(
         caption: Whether images and videos show the simulated time and the state of the episode:
             "object touched", "released", "contact", "drop", "timeout" or "goal reached".
         options: `dataset`, `data_dir`, `physics`, `robot`, `renderer`, `camera_model`, `camera_noise`, `seed`,
-            `progress` and `trust`, see `handover_marl.EvaluationConfig` and `handover_marl.ExecutionConfig`.
+            `inference_time`, `progress` and `trust`, see `handover_marl.EvaluationConfig` and
+            `handover_marl.ExecutionConfig`.
 
     Returns:
         Path of the written file.
