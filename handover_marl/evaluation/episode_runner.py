@@ -113,7 +113,7 @@ class EpisodeRunner:
             fingerprint=fingerprint,
             machine=self._machine,
             fluency=compute_fluency(trace),
-            late_s=late * TIME_STEP if has_clock else None,
+            late_s=round(late * TIME_STEP, 3) if has_clock else None,
             early_grab=has_early_grab(trace) if has_clock else None,
         )
         return result, tuple(encode(result, trace) for _, encode in self._recorders)

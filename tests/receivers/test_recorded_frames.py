@@ -26,7 +26,7 @@ def test_recorded_frames_give_the_actions_of_the_simulation(name: str, obs_mode:
     robot = "panda_camera" if name == "vision" else "panda"
     (episode,) = handover_marl.demonstrate(
         *("s0", "train", name),
-        **{"obs_mode": obs_mode, "dataset": "synthetic", "physics": "fast", "robot": robot, "scenes": [5]},
+        **{"obs_mode": obs_mode, "dataset": "synthetic", "physics": "fast", "robot": robot, "scenes": [105]},
         **{"out": tmp_path, "workers": 1, "progress": False},
     )
     receiver = receivers.make(name, open_dataset("synthetic", robot=robot))
