@@ -209,8 +209,8 @@ def add_evaluation(folder: Path, purpose: str) -> None:
     """
     report = handover_marl.evaluate(folder)
     metadata = report.metadata
-    protocol = (metadata.world, metadata.split, metadata.giver, metadata.physics)
-    if report.is_partial or protocol != (OFFICIAL_WORLD, "test", "replay", "exact"):
+    protocol = (metadata.world, metadata.split, metadata.giver, metadata.physics, metadata.inference_time)
+    if report.is_partial or protocol != (OFFICIAL_WORLD, "test", "replay", "exact", ""):
         raise SystemExit(f"{folder} must be an evaluation by the official protocol on a whole test split")
     name, _, options = re.sub("@own weights [0-9a-f]+", "", metadata.receiver).partition(":")
     others = ",".join(option for option in options.split(",") if not option.startswith("wait="))

@@ -40,7 +40,7 @@ def test_a_program_beside_a_folder_of_the_same_name_imports_the_library_and_litt
 @pytest.mark.parametrize(
     ("function", "left_out"),
     [
-        (handover_marl.benchmark, {"giver", "world_config"}),
+        (handover_marl.benchmark, {"giver", "world_config", "inference_time"}),
         (handover_marl.evaluate_pair, set()),
         (handover_marl.compare_physics, set()),
         (handover_marl.demonstrate, set()),

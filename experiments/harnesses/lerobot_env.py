@@ -80,8 +80,13 @@ class LeRobotEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self._image = observation["wrist_rgb"]
         found = {"pixels": {"wrist": self._image}, "agent_pos": observation["robot_joint_position"]}
         if self._has_state:
-            found["environment_state"] = np.concatenate([observation[key].ravel() for key in ENVIRONMENT_KEYS])
+            found["environment_state"] = join_environment_state(observation)
         return found
+
+
+def join_environment_state(observation: Observation) -> npt.NDArray[np.float32]:
+    """Return the true state of objects and hand (146,) of a receiver's observation, in the order of the data sets."""
+    return np.concatenate([observation[key].ravel() for key in ENVIRONMENT_KEYS])
 
 
 def make_env(

@@ -14,7 +14,7 @@ import numpy.typing as npt
 import torch
 from lerobot.configs.policies import PreTrainedConfig
 from lerobot.policies.factory import get_policy_class, make_pre_post_processors
-from lerobot_env import FPS
+from lerobot_env import FPS, join_environment_state
 
 from handover_marl.episode.observations import Observation
 from handover_marl.evaluation.demonstrations.convert import describe_task
@@ -22,14 +22,16 @@ from handover_marl.receivers import PolicyContext, Receiver
 
 
 class LeRobotReceiver(Receiver):
-    """Receiver with a policy of LeRobot that observes the wrist camera's image and the robot's joints.
+    """Receiver with a policy of LeRobot that observes the robot's joints and what else it was trained with.
+
+    The wrist camera's image is observed with the mode "rgb", the true state of objects and hand with "state".
 
     Args:
         context: Robot, task and known grasps of the objects; not used.
         folder: Folder with the trained policy, `pretrained_model` of a checkpoint.
     """
 
-    name, control_period, obs_mode = "lerobot", 1.0 / FPS, "rgb"
+    name, control_period = "lerobot", 1.0 / FPS
     file_options = ("folder",)
 
     def __init__(self, context: PolicyContext, folder: str) -> None:
@@ -37,6 +39,8 @@ class LeRobotReceiver(Receiver):
         path = Path(folder).resolve()
         config = PreTrainedConfig.from_pretrained(path)
         config.device = "cpu"
+        parts = {"rgb": "observation.images.wrist", "state": "observation.environment_state"}
+        self.obs_mode = "+".join(part for part, feature in parts.items() if feature in config.input_features)
         self._policy = get_policy_class(config.type).from_pretrained(path, config=config)
         self._policy.eval()
         self._preprocess, self._postprocess = make_pre_post_processors(config, str(path))
@@ -54,12 +58,12 @@ class LeRobotReceiver(Receiver):
     @torch.inference_mode()
     def act(self, observation: Observation) -> npt.NDArray[np.float32]:
         """Return the next target joint positions (9,), 7 of the arm (rad) and 2 of the fingers (m)."""
-        image = torch.from_numpy(observation["wrist_rgb"]).movedim(-1, 0).float() / 255.0
-        batch = {
-            "observation.images.wrist": image[None],
-            "observation.state": torch.from_numpy(observation["robot_joint_position"])[None],
-            "task": [self._task],
-        }
+        batch = {"observation.state": torch.from_numpy(observation["robot_joint_position"])[None], "task": [self._task]}
+        if "rgb" in self.obs_mode:
+            image = torch.from_numpy(observation["wrist_rgb"]).movedim(-1, 0).float() / 255.0
+            batch["observation.images.wrist"] = image[None]
+        if "state" in self.obs_mode:
+            batch["observation.environment_state"] = torch.from_numpy(join_environment_state(observation))[None]
         action = self._postprocess(self._policy.select_action(self._preprocess(batch)))
         targets: npt.NDArray[np.float32] = action[0].numpy().astype(np.float32)
         return targets

@@ -8,6 +8,7 @@ import tyro
 from tyro.constructors import PrimitiveConstructorSpec
 
 from handover_marl.config import OFFICIAL_CONFIG, WorldConfig
+from handover_marl.episode.loop import InferenceTime
 from handover_marl.errors import OptionError
 from handover_marl.evaluation.config import REPLAY, EvaluationConfig, ExecutionConfig
 
@@ -113,6 +114,7 @@ class ReceiverArguments(PairArguments):
     """Options that configure scenes, the receiver and simulation."""
 
     giver: _Hidden[str] = REPLAY
+    inference_time: _Hidden[InferenceTime] = None
 
 
 @dataclass(frozen=True)
@@ -120,6 +122,7 @@ class SceneArguments(ReceiverArguments):
     """Options that configure scenes and simulation."""
 
     receiver: _Hidden[str] = "yang2021"
+    inference_time: InferenceTime = None
 
 
 @dataclass(frozen=True)

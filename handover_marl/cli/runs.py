@@ -24,7 +24,10 @@ from handover_marl.evaluation.config import ExecutionConfig
 _EXECUTION, _VAL_PAIR, _VAL_SCENES = ExecutionArguments(), PairArguments(split="val"), SceneArguments(split="val")
 _TABLES = TableArguments()
 # Fields of `EvaluationConfig` that apply to a single scene.
-_SCENE_FIELDS = ("dataset", "data_dir", "physics", "robot", "renderer", "camera_model", "camera_noise", "seed", "giver")
+_SCENE_FIELDS = (
+    *("dataset", "data_dir", "physics", "robot", "renderer", "camera_model", "camera_noise", "seed", "giver"),
+    "inference_time",
+)
 _Point = Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")]
 _Names = Annotated[str, tyro.conf.arg(metavar="POLICY,...")]
 _OptionalNames = Annotated[str | None, tyro.conf.arg(metavar="POLICY,...")]

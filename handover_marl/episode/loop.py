@@ -5,7 +5,7 @@ import hashlib
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Final, Literal, Protocol, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,10 @@ from handover_marl.episode.spaces import STATE, check_giver_action, check_receiv
 from handover_marl.errors import HandoverError, OptionError, PolicyError
 
 Action = npt.NDArray[np.float32]
+#: Inference time of a receiver that is measured: the wall-clock time of each of its calls.
+MEASURED: Final = "measured"
+#: Simulated time (s) that passes during each call of the receiver, or `MEASURED`; None stops the simulation meanwhile.
+InferenceTime: TypeAlias = float | Literal["measured"] | None
 
 _LONGEST_HOLD = 1e9  # s
 
@@ -28,10 +32,10 @@ class PolicyDecision:
     """Actions of both policies for the next physics steps.
 
     Attributes:
-        receiver_action: (9,) action of the receiver.
+        receiver_action: (9,) action of the receiver that is in effect from now on.
         giver_action: (8,) action of the giver.
-        planning_time: Wall-clock time of the receiver's policy (s), without rendering; 0 if its last action is held.
-        receiver_decided: Whether the receiver's policy acted now; otherwise its last action is held.
+        planning_time: Wall-clock time of the receiver's policy (s), without rendering; 0 if it was not called now.
+        receiver_decided: Whether a new action of the receiver takes effect now; otherwise its last action is held.
         giver_decided: Whether the giver's policy acted now; always false for a replayed giver.
     """
 
@@ -184,9 +188,12 @@ class EpisodeAgent:
         agent: Agent that the policy acts for, "giver" or "receiver".
         policy: Policy; the observation of a receiver is empty if its attribute `obs_mode` is None.
         seed: Seed of the run.
+        inference_time: Simulated time that passes during a call; the held action stays in effect meanwhile, at first
+            the present joint positions of the robot. The next call is not before the last one has returned.
 
     Attributes:
         action: Action that is held; empty before the first decision.
+        pending: Action that was decided and is not in effect yet, or None.
         due: Physics step from which on the policy is to be called again.
         planning_time: Wall-clock time of the last call of the policy (s), without rendering.
 
@@ -194,9 +201,18 @@ class EpisodeAgent:
         PolicyError: The policy is a giver and fails at the start of the episode.
     """
 
-    def __init__(self, episode: Episode, agent: str, policy: EpisodePolicy, seed: int | None) -> None:
+    def __init__(
+        self,
+        episode: Episode,
+        agent: str,
+        policy: EpisodePolicy,
+        seed: int | None,
+        inference_time: InferenceTime = None,
+    ) -> None:
         self.agent, self.action = agent, np.zeros(0, dtype=np.float32)
         self.due, self.planning_time = 0, 0.0
+        self.pending: Action | None = None
+        self._effective, self._inference_time = 0, inference_time
         self._episode, self._policy, self._seed = episode, policy, seed
         self._is_giver = agent == "giver"
         self._giver_space, self._objects = giver_action_space(episode.config.giver), episode.scene.info.object_names
@@ -210,6 +226,16 @@ class EpisodeAgent:
         """Whether the policy gets an observation, rather than an empty dictionary."""
         return self._is_giver or getattr(self._policy, "obs_mode", STATE) is not None
 
+    @property
+    def next_event(self) -> int:
+        """Next physics step in which the policy is to be called, or a decided action takes effect."""
+        return self.due if self.pending is None else min(self.due, self._effective)
+
+    def update(self) -> None:
+        """Put a decided action into effect if its inference time has passed."""
+        if self.pending is not None and self._episode.steps >= self._effective:
+            self.action, self.pending = self.pending, None
+
     def act(self) -> Action:
         """Return the action at the present physics step: a new one if a decision is due, else the last one.
 
@@ -221,7 +247,7 @@ class EpisodeAgent:
         return self.action
 
     def decide(self, state: Observation) -> None:
-        """Call the policy, and hold its action in `action` until the step `due`.
+        """Call the policy, and hold its action in `action` until the step `due`; `update` sets it after inference time.
 
         Args:
             state: Full state as `Episode.observe` returns it now.
@@ -242,7 +268,16 @@ class EpisodeAgent:
         started = time.perf_counter()
         action, self.due = call_policy(self._policy, observation, episode.steps)
         self.planning_time = time.perf_counter() - started
-        self.action = check_giver_action(action, self._giver_space) if self._is_giver else check_receiver_action(action)
+        found = check_giver_action(action, self._giver_space) if self._is_giver else check_receiver_action(action)
+        if self._inference_time is None:
+            self.action = found
+            return
+        if not self.action.size:
+            self.action = episode.world.read_agent_joints().robot.copy()
+        passed = self.planning_time if self._inference_time == MEASURED else float(self._inference_time)
+        self.pending, self._effective = found, episode.steps + round(passed / TIME_STEP)
+        self.due = max(self.due, self._effective)
+        self.update()
 
 
 def run_episode(
@@ -253,7 +288,8 @@ def run_episode(
     seed: int | None = None,
     until: int | Callable[[], bool] | None = None,
     callbacks: Sequence[EpisodeCallback] = (),
-) -> None:
+    inference_time: InferenceTime = None,
+) -> int:
     """Let policies act from the start of a scene until the episode ends.
 
     Args:
@@ -264,6 +300,10 @@ def run_episode(
         until: Largest number of physics steps, or a predicate that ends the loop; it is evaluated
             after each decision, before the actions are applied.
         callbacks: Callbacks, called in this order.
+        inference_time: Simulated time that passes during each call of the receiver, see `EpisodeAgent`.
+
+    Returns:
+        Number of physics steps that passed during calls of the receiver.
 
     Raises:
         ActionError: An action of a policy is malformed.
@@ -272,14 +312,17 @@ def run_episode(
     """
     horizon = episode.config.protocol.horizon_steps
     end = min(until, horizon) if isinstance(until, int) else horizon
-    robot = EpisodeAgent(episode, "receiver", receiver, seed)
+    robot = EpisodeAgent(episode, "receiver", receiver, seed, inference_time)
     person = None if giver is None else EpisodeAgent(episode, "giver", giver, seed)
     # The giver acts first.
     agents = [robot] if person is None else [person, robot]
     step_hooks = [callback.on_step for callback in callbacks]
+    n_late = 0
     for callback in callbacks:
         callback.on_reset(episode)
     while not episode.status and episode.steps < end:
+        held = robot.action
+        robot.update()
         deciding = [agent for agent in agents if episode.steps >= agent.due]
         state = episode.observe() if any(agent.observes for agent in deciding) else {}
         for agent in deciding:
@@ -288,17 +331,19 @@ def run_episode(
             receiver_action=robot.action,
             giver_action=NO_DEVIATION if person is None else person.action,
             planning_time=robot.planning_time if robot in deciding else 0.0,
-            receiver_decided=robot in deciding,
+            receiver_decided=robot.action is not held,
             giver_decided=person in deciding,
         )
         if callable(until) and until():
             break
         for callback in callbacks:
             callback.on_decision(episode, decision)
-        due = min(end, *(agent.due for agent in agents))
-        episode.advance(decision.receiver_action, due - episode.steps, decision.giver_action, step_hooks)
+        start, event = episode.steps, min(end, *(agent.next_event for agent in agents))
+        episode.advance(decision.receiver_action, event - start, decision.giver_action, step_hooks)
+        n_late += 0 if robot.pending is None else episode.steps - start
     for callback in callbacks:
         callback.on_end(episode)
+    return n_late
 
 
 def derive_giver_seed(seed: int | None, scene_id: int) -> int:

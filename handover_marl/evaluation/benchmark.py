@@ -38,7 +38,7 @@ MakeWriter: TypeAlias = Callable[[Path, EvaluationConfig], EpisodeWriter]
 _SHARD = re.compile(r"(\d{1,4})/(\d{1,4})")
 
 
-@forward_signature(EvaluationConfig, ExecutionConfig, without=("giver", "world_config"))
+@forward_signature(EvaluationConfig, ExecutionConfig, without=("giver", "world_config", "inference_time"))
 def benchmark(
     setup: str | EvaluationConfig | None = None,
     split: str = "test",
@@ -63,7 +63,8 @@ def benchmark(
         ResultsError: `out` holds another evaluation or cannot be written.
         ActionError: The receiver returned a malformed action.
         PolicyError: The receiver's code failed.
-        OptionError: `workers` is less than one, or the world or the giver is not the official one.
+        OptionError: `workers` is less than one, the world or the giver is not the official one, or inference takes
+            simulated time.
         WorkerError: Two worker processes died over the same scene.
     """
     config, execution = build_configs(setup, options, execution, split=split, receiver=receiver)
@@ -71,6 +72,8 @@ def benchmark(
         raise OptionError("the official benchmark requires the official world and rules; use evaluate_pair for others")
     if config.giver != REPLAY:
         raise OptionError(f"the official giver is {REPLAY!r}; use evaluate_pair for others")
+    if config.inference_time is not None:
+        raise OptionError("in the official benchmark the person waits for inference; use evaluate_pair (pair) instead")
     (report,) = run_evaluations([("", config)], execution)
     return report
 

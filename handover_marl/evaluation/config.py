@@ -4,6 +4,7 @@ Public functions and the command line take `EvaluationConfig` and `ExecutionConf
 objects or as keyword arguments.
 """
 
+import math
 from dataclasses import dataclass, fields, replace
 from numbers import Integral
 from pathlib import Path
@@ -13,6 +14,7 @@ from handover_marl.config import WorldConfig, check_config
 from handover_marl.datasets import Dataset, open_dataset
 from handover_marl.datasets.splits import SPLITS, choose_scenes
 from handover_marl.episode.episode import SceneConfig
+from handover_marl.episode.loop import MEASURED, InferenceTime
 from handover_marl.episode.spaces import has_camera
 from handover_marl.errors import OptionError, check_name
 from handover_marl.execution.files import shorten_text
@@ -38,14 +40,17 @@ class EvaluationConfig(SceneConfig):
         giver: The person's policy, e.g. replay, cooperative, learned:FILE or my_package:MyGiver.
         receiver: The robot's policy, e.g. yang2021, omg:wait=1.5, learned:FILE or my_package:MyReceiver.
         seed: Seed of the random draws of policies, camera and initial joint positions.
+        inference_time: Simulated time (s) that passes during each decision of the receiver, while its last action stays
+            in effect, or "measured" for the wall-clock time; default: none, as in official results.
 
     Raises:
-        OptionError: The seed is not an integer, or the data folder not a path.
+        OptionError: The seed is not an integer, the data folder not a path, or the inference time not one of these.
     """
 
     giver: PolicyLike = REPLAY
     receiver: PolicyLike = "yang2021"
     seed: int = 0
+    inference_time: InferenceTime = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -56,6 +61,14 @@ class EvaluationConfig(SceneConfig):
         object.__setattr__(self, "seed", int(seed))
         if self.data_dir is not None:
             object.__setattr__(self, "data_dir", str(check_path("data_dir", self.data_dir)))
+        passed: object = self.inference_time
+        if isinstance(passed, (int, float)) and not isinstance(passed, bool) and 0.0 <= passed < math.inf:
+            passed = float(passed)
+        elif passed not in (None, MEASURED):
+            raise OptionError(
+                f"inference_time must be a time of at least 0 (s), {MEASURED!r} or None, got {shorten_text(passed)}"
+            )
+        object.__setattr__(self, "inference_time", passed)
 
     def open_dataset(self) -> Dataset:
         """Open the dataset that the configuration names, with its data folder and robot model.
@@ -166,6 +179,15 @@ def resolve_config(config: EvaluationConfig, trust: bool = False) -> tuple[Evalu
     dataset.check_scenes(scenes)
     config = replace(config, setup=setup, scenes=scenes, giver=resolved["giver"], receiver=resolved["receiver"])
     return set_dataset(config, dataset), dataset
+
+
+def format_inference_time(inference_time: InferenceTime | str) -> str:
+    """Return an inference time (s) as text, such as "inference time 0.1 s a decision"; empty if it is None or empty."""
+    if inference_time in (None, ""):
+        return ""
+    return (
+        "inference time as measured" if inference_time == MEASURED else f"inference time {inference_time} s a decision"
+    )
 
 
 def set_dataset(config: EvaluationConfig, dataset: Dataset) -> EvaluationConfig:

@@ -12,7 +12,7 @@ from handover_marl.datasets import Dataset
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError
 from handover_marl.evaluation.benchmark import run_evaluations
-from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig, build_configs
+from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig, build_configs, format_inference_time
 from handover_marl.evaluation.reports.episode_tables import estimate_fluency
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.tables import (
@@ -41,7 +41,7 @@ PolicyPair = tuple[str, str]
 SUCCESS = EpisodeStatus.SUCCESS
 CROSSPLAY_CSV = "crossplay.csv"
 _NOTE = f"Means of the fluency metrics are in {CROSSPLAY_CSV}, and in the report of each pair."
-_CSV_IDENTITY = ("setup", "split", "dataset", "physics")
+_CSV_IDENTITY = ("setup", "split", "dataset", "physics", "inference_time")
 _CSV_COLUMNS = (*RATES, AVERAGE_SUCCESS, *TIMES, *FLUENCY)
 # File systems allow names of 255 bytes; a hash follows longer names.
 _MAX_NAME_BYTES = 200
@@ -76,10 +76,11 @@ class CrossPlay(TabularResult):
         rows = []
         for (giver, receiver), report in self.reports.items():
             row: dict[str, Any] = {"giver": giver, "receiver": receiver}
-            row |= {key: getattr(report.metadata, key) for key in _CSV_IDENTITY}
+            known = report.metadata.to_dict()
+            row |= {key: known[key] for key in _CSV_IDENTITY if key in known}
             row |= {"data": report.data_label, N_EPISODES.key: len(report.episodes), WAIT.key: report.metadata.wait_s}
             found = report.rates | report.official_means | estimate_fluency(report.episodes)
-            for key in (column.key for column in _CSV_COLUMNS):
+            for key in dict.fromkeys((*(column.key for column in _CSV_COLUMNS), *found)):
                 estimate = found.get(key, Estimate(None, None, 0))
                 low, high = estimate.interval_95 or (None, None)
                 row |= {key: estimate.mean, f"{key}_low": low, f"{key}_high": high, f"{key}_n": estimate.n}
@@ -99,9 +100,7 @@ class CrossPlay(TabularResult):
         rates = [[self.reports[giver, receiver].success_rate for receiver in self.receivers] for giver in self.givers]
         report = self._first_report
         metadata, n = report.metadata, len(report.episodes)
-        title = (
-            f"{metadata.setup} {metadata.split}, {n} episodes a cell\n{report.data_label}, {metadata.physics} physics"
-        )
+        title = f"{metadata.setup} {metadata.split}, {n} episodes a cell\n{report.data_label}, {self._simulation_label}"
         picture = draw_heat_map(rates, self.givers, self.receivers, title)
         write_atomically(folder / "crossplay.png", picture)
 
@@ -121,8 +120,8 @@ class CrossPlay(TabularResult):
             for other, receiver in itertools.combinations(self.receivers, 2)
         ]
         return [
-            f"Cross-play on {metadata.setup} {metadata.split}, {report.extent}, {metadata.physics} "
-            f"physics, data: {report.data_label}.\n"
+            f"Cross-play on {metadata.setup} {metadata.split}, {report.extent}, "
+            f"{self._simulation_label}, data: {report.data_label}.\n"
             "95 % intervals: Wilson for rates, bootstrap for means, Agresti and Min for differences, paired by scene.",
             self._build_matrix(),
             self._build_rate_table(),
@@ -134,6 +133,11 @@ class CrossPlay(TabularResult):
     @property
     def _first_report(self) -> Report:
         return next(iter(self.reports.values()))
+
+    @property
+    def _simulation_label(self) -> str:
+        metadata = self._first_report.metadata
+        return ", ".join(filter(None, (f"{metadata.physics} physics", format_inference_time(metadata.inference_time))))
 
     def _build_matrix(self) -> ReportTable:
         n = len(self._first_report.episodes)

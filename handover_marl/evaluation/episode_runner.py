@@ -14,10 +14,11 @@ from platform import node
 from tempfile import TemporaryDirectory
 from typing import TypeAlias
 
+from handover_marl.config import TIME_STEP
 from handover_marl.datasets.registry import DATA_FOLDER_ADVICE, DataLocation, check_scene_fingerprint
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import ActionRecorder, EpisodeCallback, EpisodePolicy, derive_robot_seed, run_episode
-from handover_marl.episode.metrics.fluency import compute_fluency
+from handover_marl.episode.metrics.fluency import compute_fluency, has_early_grab
 from handover_marl.episode.metrics.motion import TraceRecorder
 from handover_marl.errors import ActionError, DataNotFoundError, OptionError, PolicyError
 from handover_marl.evaluation.config import REPLAY, EvaluationConfig, require_policy_reference
@@ -89,12 +90,14 @@ class EpisodeRunner:
         self.episode.reset(scene, derive_robot_seed(self.config.seed, scene))
         recorders = [recorder for recorder, _ in self._recorders]
         callbacks: list[EpisodeCallback] = [self._trace_recorder, self._action_recorder, *recorders]
+        config, policies = self.config, (receiver or self.receiver, self.giver)
+        passed = config.inference_time
         try:
-            run_episode(self.episode, receiver or self.receiver, self.giver, seed=self.config.seed, callbacks=callbacks)
+            late = run_episode(self.episode, *policies, seed=config.seed, callbacks=callbacks, inference_time=passed)
         except (ActionError, OptionError, PolicyError) as error:
             giver = "" if self.giver is None else f" and giver {self.giver.name!r}"
             raise type(error)(f"receiver {self.receiver.name!r}{giver} in scene {task.scene_id}: {error}") from error
-        info, trace = scene.info, self._trace_recorder.trace
+        info, trace, has_clock = scene.info, self._trace_recorder.trace, passed is not None
         result = EpisodeResult(
             index=task.index,
             status=self.episode.status,
@@ -110,6 +113,8 @@ class EpisodeRunner:
             fingerprint=fingerprint,
             machine=self._machine,
             fluency=compute_fluency(trace),
+            late_s=round(late * TIME_STEP, 3) if has_clock else None,
+            early_grab=has_early_grab(trace) if has_clock else None,
         )
         return result, tuple(encode(result, trace) for _, encode in self._recorders)
 

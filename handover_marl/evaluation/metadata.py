@@ -57,6 +57,8 @@ class ResultMetadata:
         missing_package: "PyBullet" if it is not installed, so that inverse kinematics, grasp
             validation and distances were computed by the library and MuJoCo; else empty.
         n_split_scenes: Number of scenes in the split; empty for an official setup, whose sizes are known.
+        inference_time: Simulated time that passes during a decision of the receiver (s), or "measured"; empty if
+            the person waits, as in official results.
     """
 
     setup: str
@@ -78,6 +80,7 @@ class ResultMetadata:
     shard: str = ""
     missing_package: str = ""
     n_split_scenes: str = ""
+    inference_time: str = ""
 
     @classmethod
     def from_config(
@@ -109,6 +112,7 @@ class ResultMetadata:
             shard=shard,
             missing_package="" if is_pybullet_installed() else "PyBullet",
             n_split_scenes="" if config.setup in SETUPS else str(n_split_scenes),
+            inference_time="" if config.inference_time is None else str(config.inference_time),
         )
 
     @property
@@ -117,8 +121,9 @@ class ResultMetadata:
         return SPLIT_SIZES[self.setup, self.split] if self.setup in SETUPS else int(self.n_split_scenes)
 
     def to_dict(self) -> dict[str, str]:
-        """Return the fields by name; `n_split_scenes` is left out if it is empty."""
-        return {key: value for key, value in asdict(self).items() if value or key != "n_split_scenes"}
+        """Return the fields by name; `n_split_scenes` and `inference_time` are left out if they are empty."""
+        optional = ("n_split_scenes", "inference_time")
+        return {key: value for key, value in asdict(self).items() if value or key not in optional}
 
     def describe_differences(self, other: "ResultMetadata", here: str, there: str) -> list[str]:
         """Return a text for each field that differs, "seed '0' in A, '1' in B" if `here` is "in A", `there` "in B"."""

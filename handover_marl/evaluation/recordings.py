@@ -11,7 +11,12 @@ from handover_marl.datasets.registry import format_dataset_title
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import EpisodeCallback
 from handover_marl.episode.metrics.motion import SAMPLE_STEPS, EpisodeTrace, compute_speeds
-from handover_marl.evaluation.config import REPLAYS_ALL, EvaluationConfig, require_policy_reference
+from handover_marl.evaluation.config import (
+    REPLAYS_ALL,
+    EvaluationConfig,
+    format_inference_time,
+    require_policy_reference,
+)
 from handover_marl.evaluation.reports.tables import format_csv
 from handover_marl.evaluation.results import REPLAYS, EpisodeRecorder, EpisodeResult, EpisodeWriter
 from handover_marl.policies.policy import Policy
@@ -98,6 +103,7 @@ def format_replay_facts(config: EvaluationConfig, models: str) -> str:
         format_dataset_title(config.dataset) + (f", {models}" if models else ""),
         f"receiver {receiver.label}{observation}, giver {giver.label}",
         f"{config.physics} physics",
+        *filter(None, [format_inference_time(config.inference_time)]),
         f"robot {config.robot}",
         f"seed {config.seed}",
         f"handover_marl {__version__}",

@@ -74,7 +74,8 @@ def _play(
     """Simulate a scene to its end, for a number of steps, or until a predicate holds; return the number of steps."""
     seed = runner.config.seed
     runner.episode.reset(scene, derive_robot_seed(seed, scene))
-    run_episode(runner.episode, runner.receiver, runner.giver, seed=seed, until=until, callbacks=callbacks)
+    policies, passed = (runner.receiver, runner.giver), runner.config.inference_time
+    run_episode(runner.episode, *policies, seed=seed, until=until, callbacks=callbacks, inference_time=passed)
     return runner.episode.steps
 
 
@@ -105,7 +106,8 @@ def render_scene(
         caption: Whether images and videos show the simulated time and the state of the episode:
             "object touched", "released", "contact", "drop", "timeout" or "goal reached".
         options: `dataset`, `data_dir`, `physics`, `robot`, `renderer`, `camera_model`, `camera_noise`, `seed`,
-            `progress` and `trust`, see `handover_marl.EvaluationConfig` and `handover_marl.ExecutionConfig`.
+            `inference_time`, `progress` and `trust`, see `handover_marl.EvaluationConfig` and
+            `handover_marl.ExecutionConfig`.
 
     Returns:
         Path of the written file.

@@ -52,6 +52,8 @@ REPORT_FILES = (REPORT_JSON, "report.md", "report.html", "episodes.csv")
 REPLAYS, TRACES, DEMONSTRATIONS, DEMONSTRATIONS_METADATA = "episodes", "traces", "demonstrations", "metadata.json"
 _MAX_BYTES = 64_000_000  # unpacked size of one scene's result, or size of an episode file
 _FLUENCY_PREFIX = "fluency_"
+#: Fields of `EpisodeResult` that only evaluations with inference time have.
+CLOCK_KEYS = ("late_s", "early_grab")
 _MAX_TEXT, _MAX_NUMBER = 10_000, 1e9  # characters of a description; largest number
 
 
@@ -75,6 +77,9 @@ class EpisodeResult:
         fingerprint: Hash of the scene's data files, or None if unknown.
         machine: Machine on which `plan_s` was measured, or None if unknown.
         fluency: Metrics beyond the official ones, or None if unknown.
+        late_s: Simulated time that passed during decisions of the receiver (s); None without inference time.
+        early_grab: Whether the fingers began to close before the person's offer, see `has_early_grab`; None without
+            inference time.
     """
 
     index: int
@@ -91,6 +96,8 @@ class EpisodeResult:
     fingerprint: str | None = None
     machine: str | None = None
     fluency: FluencyMetrics | None = None
+    late_s: float | None = None
+    early_grab: bool | None = None
 
     @property
     def success(self) -> bool:
@@ -349,8 +356,12 @@ def _parse_result(values: Mapping[str, Any]) -> EpisodeResult:
 
 
 def describe_episode(episode: EpisodeResult) -> dict[str, Any]:
-    """Return the fields of a result as JSON types, by name, and `outcome`, the text of the status, e.g. "success"."""
-    return {**asdict(episode), "status": int(episode.status), "outcome": episode.status.label}
+    """Return the fields of a result as JSON types, by name, and `outcome`, the text of the status, e.g. "success".
+
+    Without inference time, the fields `late_s` and `early_grab` are left out.
+    """
+    values = {**asdict(episode), "status": int(episode.status), "outcome": episode.status.label}
+    return values if episode.late_s is not None else {key: values[key] for key in values if key not in CLOCK_KEYS}
 
 
 def format_episode_file(metadata: ResultMetadata, episodes: Iterable[EpisodeResult]) -> str:

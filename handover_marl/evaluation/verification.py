@@ -51,7 +51,7 @@ Actions = npt.NDArray[np.float32]
 
 _MAX_REPORT_BYTES = 64_000_000
 # Values that cannot be simulated (wall-clock times and their machine), and those that versions may compute differently.
-_UNVERIFIED, _VERSIONED = ("plan_s", "machine", "status"), ("fingerprint", "models")
+_UNVERIFIED, _VERSIONED = ("plan_s", "late_s", "machine", "status"), ("fingerprint", "models")
 _TOLERANCE = 1e-6
 #: Titles of the columns of the table of differences.
 COLUMNS = ("scene id", "value", "stored", "simulated")
@@ -194,6 +194,9 @@ def verify(
         check_stored_reference(path, "giver", giver, trust, registered, advice)
     same: Any = {name: getattr(metadata, name) for name in ("setup", "split", "dataset", "physics", "robot")}
     ids = tuple(task.scene_id for task in tasks)
+    if metadata.inference_time:
+        # Stored actions are those in effect, so that they act at once.
+        same["inference_time"] = 0.0
     config = EvaluationConfig(
         **same, scenes=ids, data_dir=data_dir, giver=giver, receiver="hold", seed=seed, world_config=world
     )

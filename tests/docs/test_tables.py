@@ -33,13 +33,14 @@ from tests.evaluation.quick import make_report
 ENVIRONMENT = REPOSITORY / "docs" / "reference" / "environment.md"
 METRICS = REPOSITORY / "docs" / "reference" / "metrics.md"
 REWARDS = REPOSITORY / "docs" / "reference" / "rewards.md"
-#: Marks of the tables that are checked here, in `tests/receivers/test_information.py` and `tests/test_architecture.py`.
+#: Marks of the tables that are checked here, in `tests/receivers/test_information.py`, `tests/test_architecture.py`,
+#: `tests/evaluation/test_inference_time.py` and `tests/receivers/test_recorded_frames.py`.
 #: Those of features and action schemes, which have a slash, are checked in `tests/docs/test_feature_tables.py`.
 CHECKED = {
     *("receiver actions", "giver actions", "rewards", "reward terms", "generated scenes", "receiver inputs"),
     *("shared observations", "giver observations", "camera observations"),
     *("rules", "official metrics", "fluency metrics", "episode columns", "identity", "comparison columns"),
-    "packages",
+    *("packages", "inference time", "driver inputs"),
 }
 OFFICIAL_COLUMNS = (
     tables.N_EPISODES,

@@ -1,5 +1,6 @@
 """Tests of the episode loop: when policies act, their observations, seeds, hold times and errors."""
 
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -11,6 +12,8 @@ from handover_marl.config import OFFICIAL_CONFIG
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import (
+    MEASURED,
+    ActionRecorder,
     EpisodeCallback,
     PolicyDecision,
     call_policy,
@@ -144,6 +147,48 @@ def test_both_are_asked_when_they_want_to_be(pair: tuple[Counting, Counting]) ->
     assert receiver.times == list(range(0, 200, 70))
     assert giver.times == list(range(0, 200, 30))
     assert decisions.steps == sorted({*receiver.times, *giver.times})
+    episode.close()
+
+
+@pytest.mark.parametrize(
+    ("inference_time", "calls", "effective", "late"),
+    [
+        (0.0, [0, 70, 140, 210], [0, 70, 140, 210], 0),
+        (0.03, [0, 70, 140, 210], [30, 100, 170, 240], 120),
+        # The next call begins when the last one has returned.
+        (0.1, [0, 100, 200], [100, 200], 250),
+    ],
+)
+def test_actions_take_effect_after_the_inference_time(
+    pair: tuple[Counting, Counting], inference_time: float, calls: list[int], effective: list[int], late: int
+) -> None:
+    """Until the first action takes effect, the robot holds its joint positions; the giver does not wait."""
+    receiver, giver = pair
+    start, actions = receiver.action, ActionRecorder()
+    receiver.action = start + np.float32(0.01)
+    episode, decisions = Episode("fast"), Decisions()
+    episode.reset(SyntheticDataset().load_scene(SCENE))
+    found = run_episode(
+        episode, receiver, giver, until=250, callbacks=[decisions, actions], inference_time=inference_time
+    )
+    assert (receiver.times, giver.times, found) == (calls, list(range(0, 250, 30)), late)
+    assert set(effective) <= set(decisions.steps)
+    np.testing.assert_array_equal(actions.actions[: effective[0]], start[None].repeat(effective[0], axis=0))
+    np.testing.assert_array_equal(actions.actions[effective[0] :], receiver.action[None].repeat(250 - effective[0], 0))
+    assert np.flatnonzero(actions.times).tolist() == calls
+    episode.close()
+
+
+def test_measured_inference_takes_simulated_time(pair: tuple[Counting, Counting]) -> None:
+    receiver, _ = pair
+    act = receiver.act
+    receiver.act = lambda observation: [time.sleep(0.08), act(observation)][1]  # type: ignore[method-assign]
+    episode = Episode("fast")
+    episode.reset(SyntheticDataset().load_scene(SCENE))
+    late = run_episode(episode, receiver, until=200, inference_time=MEASURED)
+    assert late == 200
+    assert len(receiver.times) in (2, 3)
+    assert receiver.times[1] >= 80
     episode.close()
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
+import handover_marl
 from experiments.harnesses.lerobot_env import LeRobotEnv, make_env
 from tests.helpers.lerobot import prepare_lerobot
 from tests.learning.training.scripts import script
@@ -41,17 +42,18 @@ def test_make_env_gives_a_vector_environment_with_autoreset() -> None:
     envs.close()
 
 
-def make_act_policy(folder: Path) -> Any:
-    """Save and return a small ACT policy with random weights, and its processors."""
+def make_act_policy(folder: Path, obs_mode: str = "rgb") -> Any:
+    """Save and return a small ACT policy with random weights for an observation mode, and its processors."""
     from lerobot.configs.types import FeatureType, PolicyFeature
     from lerobot.policies.act.configuration_act import ACTConfig
     from lerobot.policies.act.modeling_act import ACTPolicy
     from lerobot.policies.factory import make_pre_post_processors
 
-    features = {
-        "observation.images.wrist": PolicyFeature(FeatureType.VISUAL, (3, 224, 224)),
-        "observation.state": PolicyFeature(FeatureType.STATE, (9,)),
-    }
+    features = {"observation.state": PolicyFeature(FeatureType.STATE, (9,))}
+    if "rgb" in obs_mode:
+        features["observation.images.wrist"] = PolicyFeature(FeatureType.VISUAL, (3, 224, 224))
+    if "state" in obs_mode:
+        features["observation.environment_state"] = PolicyFeature(FeatureType.ENV, (146,))
     output = {"action": PolicyFeature(FeatureType.ACTION, (9,))}
     sizes = {"dim_model": 32, "n_heads": 2, "dim_feedforward": 32, "n_encoder_layers": 1, "n_vae_encoder_layers": 1}
     chunks = {"chunk_size": 4, "n_action_steps": 2}
@@ -89,6 +91,27 @@ def test_lerobot_evaluates_a_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     robot.reset(seed=0)
     state = {"wrist_rgb": observation["pixels"]["wrist"], "robot_joint_position": observation["agent_pos"]}
     assert robot.act(state).shape == (9,)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("obs_mode", ["state", "rgb+state"])
+def test_the_receiver_observes_what_its_policy_was_trained_with(
+    obs_mode: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    prepare_lerobot()
+    make_act_policy(tmp_path, obs_mode)
+    receiver = script("lerobot_receiver", monkeypatch).LeRobotReceiver(None, str(tmp_path))
+    assert receiver.obs_mode == obs_mode
+    env = handover_marl.parallel_env(dataset="synthetic", physics="mujoco", obs_mode=obs_mode)
+    observations, _ = env.reset(seed=0)
+    receiver.reset(seed=0)
+    actions = [receiver.act(observations["receiver"])]
+    receiver.reset(seed=0)
+    observations["receiver"]["object_poses"] += 1.0
+    actions.append(receiver.act(observations["receiver"]))
+    assert actions[0].shape == (9,)
+    assert not np.array_equal(*actions)
+    env.close()
 
 
 class StandingModel:

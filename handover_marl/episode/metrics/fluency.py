@@ -217,6 +217,19 @@ def compute_fluency(trace: EpisodeTrace) -> FluencyMetrics:
     )
 
 
+def has_early_grab(trace: EpisodeTrace) -> bool | None:
+    """Return whether the fingers begin to close before the person's offer; None if they do not close, or no hand gives.
+
+    The offer is the end of the person's last activity before the release, as in the functional delay.
+    """
+    n = trace.count_samples_until(trace.steps if trace.release_step is None else trace.release_step)
+    person = compute_speeds(trace.wrist, trace.period) > ACTIVE_SPEED
+    opening = trace.fingers[:n].mean(axis=1)
+    closing = np.flatnonzero(np.diff(opening) < -ACTIVE_FINGER_SPEED * trace.period)
+    giving = find_activities(person[:n], trace.period)
+    return bool(closing[0] < giving[-1][1]) if len(closing) and giving else None
+
+
 def _compute_delay(person: Flags, robot: Flags, trace: EpisodeTrace, release_step: int) -> float | None:
     n = trace.count_samples_until(release_step)
     giving, taking = find_activities(person[:n], trace.period), find_activities(robot[:n], trace.period)

@@ -7,7 +7,9 @@ from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.evaluation.reports.tables import (
     AVERAGE_SUCCESS,
     COUNTS,
+    EARLY_GRAB,
     FLUENCY,
+    LATE,
     N_EPISODES,
     NO_VALUE,
     RATES,
@@ -17,6 +19,7 @@ from handover_marl.evaluation.reports.tables import (
     estimate_average_success,
     estimate_mean,
     estimate_paired_difference,
+    estimate_rate,
     format_percent_rate,
 )
 from handover_marl.evaluation.results import EpisodeResult
@@ -25,6 +28,8 @@ EpisodePair = tuple[EpisodeResult, EpisodeResult]
 
 #: Titles of the cells of an episode: its keys in `report.json`.
 SCENE_HEADER = ("scene id", "object name", "subject", "side", "outcome", "steps", "release step", "plan s")
+# Further cells in evaluations with inference time.
+_CLOCK_HEADER = ("late s", "early grab")
 # Cells of a scene that identify it, and those of its outcome.
 _SCENE, _OUTCOME = slice(0, 2), slice(4, 7)
 FLUENCY_NOTE = (
@@ -39,16 +44,25 @@ def count_status(episodes: Iterable[EpisodeResult], status: EpisodeStatus) -> in
     return sum(bool(episode.status & status) for episode in episodes)
 
 
+def get_scene_header(episodes: Iterable[EpisodeResult]) -> tuple[str, ...]:
+    """Return the titles of the cells of episodes: `SCENE_HEADER`, and two more if inference took simulated time."""
+    return SCENE_HEADER + (_CLOCK_HEADER if any(episode.late_s is not None for episode in episodes) else ())
+
+
 def format_scene_cells(episode: EpisodeResult) -> list[str]:
-    """Return the cells of an episode as texts, in the order of `SCENE_HEADER`; "-" for unknown values."""
+    """Return the cells of an episode as texts, in the order of `get_scene_header`; "-" for unknown values."""
     cells = (episode.scene_id, episode.object_name, episode.subject, episode.side, episode.status.label, episode.steps)
     texts = [NO_VALUE if cell is None else str(cell) for cell in (*cells, episode.release_step)]
-    return [*texts, f"{episode.plan_s:.3f}"]
+    texts.append(f"{episode.plan_s:.3f}")
+    if episode.late_s is not None:
+        grab = {True: "yes", False: "no", None: NO_VALUE}[episode.early_grab]
+        texts += [f"{episode.late_s:.3f}", grab]
+    return texts
 
 
-def build_scene_table(episodes: Iterable[EpisodeResult]) -> ReportTable:
+def build_scene_table(episodes: Sequence[EpisodeResult]) -> ReportTable:
     """Build the table of outcomes with one row per scene."""
-    return ReportTable(SCENE_HEADER, [format_scene_cells(episode) for episode in episodes])
+    return ReportTable(get_scene_header(episodes), [format_scene_cells(episode) for episode in episodes])
 
 
 def build_object_table(episodes: Sequence[EpisodeResult]) -> ReportTable:
@@ -101,12 +115,22 @@ def build_difference_table(pairs: Iterable[EpisodePair], names: tuple[str, str])
 
 
 def estimate_fluency(episodes: Iterable[EpisodeResult]) -> dict[str, Estimate]:
-    """Estimate the mean of every fluency metric, by key; empty if no episode has fluency metrics."""
+    """Estimate the mean of every fluency metric, by key; empty if no episode has fluency metrics.
+
+    If inference took simulated time, the time that passed and the rate of early grabs are included.
+    """
+    episodes = tuple(episodes)
     known = [episode.fluency for episode in episodes if episode.fluency is not None]
-    return {
+    means = {
         column.key: estimate_mean([float(value) for each in known if (value := getattr(each, column.key)) is not None])
         for column in (FLUENCY if known else ())
     }
+    late = [episode.late_s for episode in episodes if episode.late_s is not None]
+    grabs = [episode.early_grab for episode in episodes if episode.early_grab is not None]
+    if late:
+        means[LATE.key] = estimate_mean(late)
+        means[EARLY_GRAB.key] = estimate_rate(sum(grabs), len(grabs)) if grabs else estimate_mean([])
+    return means
 
 
 def build_fluency_difference_table(pairs: Iterable[EpisodePair], names: tuple[str, str]) -> ReportTable:
@@ -132,7 +156,7 @@ def build_fluency_table(means: Mapping[str, Estimate], title: str = "mean") -> R
         title: Title of the column of means.
     """
     rows: list[list[object]] = []
-    for column in FLUENCY if means else ():
+    for column in (column for column in (*FLUENCY, LATE, EARLY_GRAB) if column.key in means):
         found = means[column.key]
         # Three digits, without exponents.
         sizes = [column.scale * abs(value) for value in (found.mean or 0.0, *(found.interval_95 or ()))]

@@ -17,6 +17,7 @@ from handover_marl.datasets.splits import SETUPS, list_split_scenes
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.episode.spaces import STATE
 from handover_marl.errors import ResultsError
+from handover_marl.evaluation.config import format_inference_time
 from handover_marl.evaluation.metadata import OFFICIAL_WORLD, ResultMetadata, read_result_metadata
 from handover_marl.evaluation.reports.episode_tables import (
     FLUENCY_NOTE,
@@ -27,6 +28,7 @@ from handover_marl.evaluation.reports.episode_tables import (
     count_status,
     estimate_fluency,
     format_scene_cells,
+    get_scene_header,
 )
 from handover_marl.evaluation.reports.published import SOURCES, PublishedResult, find_published_results
 from handover_marl.evaluation.reports.tables import (
@@ -64,7 +66,7 @@ from handover_marl.visualization.web_page import render_page
 # Data sets with the scene numbers of DexYCB.
 _OFFICIAL_SCENES = ("dexycb", "synthetic")
 # Fields of an evaluation with which each row of the CSV file of episodes starts.
-_IDENTITY = ("receiver", "giver", "setup", "split", "dataset", "physics", "seed", "version")
+_IDENTITY = ("receiver", "giver", "setup", "split", "dataset", "physics", "seed", "version", "inference_time")
 
 
 @dataclass(frozen=True)
@@ -153,11 +155,12 @@ class Report(TabularResult):
 
     @property
     def policies_label(self) -> str:
-        """Description of the receiver (wait, observation mode, robot) and the giver."""
+        """Description of the receiver (wait, observation mode, robot, inference time) and the giver."""
         metadata = self.metadata
         details = [f"wait {metadata.wait_s} s" if metadata.wait_s else ""]
         details += [] if metadata.obs_mode == STATE else [f"obs_mode {metadata.obs_mode}", metadata.camera]
         details += [] if metadata.robot == PANDA else [f"robot {metadata.robot}"]
+        details.append(format_inference_time(metadata.inference_time))
         text = ", ".join(filter(None, details))
         return f"{metadata.receiver}{f' ({text})' if text else ''}, giver {metadata.giver}"
 
@@ -182,6 +185,8 @@ class Report(TabularResult):
             lines.append(f"{self.n_resumed} of the {len(self.episodes)} episodes come from an earlier run.")
         if self.metadata.world != OFFICIAL_WORLD:
             lines.append(f"World or rules are not the official ones ({self.metadata.world}).")
+        if label := format_inference_time(self.metadata.inference_time):
+            lines.append(f"Not comparable with official results: the person does not wait for the policy ({label}).")
         if self.metadata.physics != "exact":
             lines.append("Official results use exact physics; compare the outcomes with handover-marl agreement.")
         if note := find_dataset_note(self.metadata.dataset):
@@ -246,7 +251,8 @@ class Report(TabularResult):
         Every row starts with the identity of the evaluation. Numbers have full precision, in the units
         of `report.json`; missing values are empty.
         """
-        identity = {key: getattr(self.metadata, key) for key in _IDENTITY}
+        known = self.metadata.to_dict()
+        identity = {key: known[key] for key in _IDENTITY if key in known}
         rows: list[dict[str, Any]] = []
         for episode in self.episodes:
             values = describe_episode(episode)
@@ -353,7 +359,7 @@ def render_report_page(report: Report, replays: Mapping[int, str] | None = None)
         objects=objects,
         fluency=fluency,
         fluency_note=FLUENCY_NOTE,
-        scene_header=SCENE_HEADER,
+        scene_header=get_scene_header(report.episodes),
         outcome_column=SCENE_HEADER.index("outcome"),
         replays=links,
     )

@@ -159,6 +159,8 @@ COUNTS = tuple(Column(f"n_{status.label}") for status in REPORTED_STATUSES)
 AVERAGE_SUCCESS, WAIT = Column("AS", "%", 100.0), Column("wait_s", "s")
 #: Means over successes: simulated time, wall-clock time of the policy, and their sum.
 TIMES = (Column("exec_s", "s"), Column("plan_s", "s"), Column("total_s", "s"))
+#: Time that passed during decisions, and early grabs; of evaluations with inference time.
+LATE, EARLY_GRAB = Column("late_s", "s"), Column("early_grab", "%", 100.0)
 #: The metrics of `FluencyMetrics`, in its order.
 FLUENCY = (
     Column("handover_time", "s"),

@@ -85,6 +85,8 @@ def strangers(
         raise OptionError(
             "world_config must be the official one for strangers, got another; use crossplay for other worlds and rules"
         )
+    if config.inference_time is not None:
+        raise OptionError(f"inference_time must be None for strangers, got {config.inference_time}; use crossplay")
     policies = giver if receiver is None else receiver
     if policies is None or (receiver is not None and giver is not None):
         raise OptionError("pass exactly one of receiver and giver; the population has partners for both")

@@ -11,7 +11,7 @@ from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.metrics import motion
-from handover_marl.episode.metrics.fluency import compute_fluency
+from handover_marl.episode.metrics.fluency import compute_fluency, has_early_grab
 from handover_marl.episode.metrics.motion import (
     SAMPLE_STEPS,
     EpisodeTrace,
@@ -101,6 +101,19 @@ def test_the_margin_at_a_contact_is_that_of_the_last_sample(monkeypatch: pytest.
     assert recorder.trace.hand_impulse == exactly(10.0 * TIME_STEP)
     recorder.close()
     episode.close()
+
+
+@pytest.mark.parametrize(
+    ("closing", "release_step", "expected"),
+    [(1.9, 4000, True), (2.1, 4000, False), (1.5, 1600, True), (0.5, None, True), (4.5, 4000, None)],
+)
+def test_early_grabs_close_the_fingers_before_the_offer(
+    closing: float, release_step: int | None, expected: bool | None
+) -> None:
+    """The person offers the object at 2 s, the end of the motion; after the release, fingers do not count."""
+    fingers = np.repeat(0.04 + ramp(closing, closing + 0.3, 5.0, -0.03)[:, :1], 2, axis=1)
+    assert has_early_grab(made_up(fingers=fingers, release_step=release_step)) is expected
+    assert has_early_grab(made_up(fingers=fingers, wrist=np.full((N, 3), np.nan))) is None
 
 
 def test_closing_fingers_are_activity() -> None:
