@@ -125,13 +125,16 @@ class Collector:
 
     Args:
         args: Arguments of the training.
+
+    Attributes:
+        period: Control period of the expert (s).
     """
 
     def __init__(self, args: Args) -> None:
         self._args, self._has_student = args, False
         count, dataset, self._rows = args.num_envs, args.open_dataset(), np.arange(args.num_envs)
         reference = parse_policy("receiver", args.expert)
-        self._period = reference.make(dataset, setup=args.setup).hold_time
+        self.period = reference.make(dataset, setup=args.setup).hold_time
         self._envs = handover_marl.vector_env(
             count,
             "receiver",
@@ -142,7 +145,7 @@ class Collector:
             split="train",
             dataset=args.dataset,
             data_dir=args.data_dir,
-            control_period=self._period,
+            control_period=self.period,
         )
         context = self._context = make_policy_context(dataset, setup=args.setup)
         selector = LowestCostGraspSelector(context, count)
@@ -169,7 +172,7 @@ class Collector:
         observation, _ = self._envs.reset(seed=seeds)
         for row in self._rows.tolist():
             self._start(row, observation, rng)
-        for _ in range(round(args.seconds / self._period)):
+        for _ in range(round(args.seconds / self.period)):
             vectors = self._features(self._rows, observation)
             outputs = np.zeros((args.num_envs, self._scheme.size), np.float32)
             if student is not None:
@@ -252,11 +255,10 @@ def main(args: Args) -> Path:
     args = args.resolve_setup()
     dataset = args.open_dataset()
     folder = open_run_folder(args.out, args, args.resume, dataset.name, ("rounds", "workers"))
-    expert = parse_policy("receiver", args.expert).make(dataset, setup=args.setup)
-    origin = describe_origin("train_receiver_dagger", args)
-    spec = PolicySpec("receiver", args.features, args.actions, expert.hold_time, origin)
     torch.set_num_threads(1)  # The networks are small, and the other cores simulate.
     collectors = [Collector(args) for _ in range(args.workers)]
+    origin = describe_origin("train_receiver_dagger", args)
+    spec = PolicySpec("receiver", args.features, args.actions, collectors[0].period, origin)
     rounds: list[Decisions] = []
     student = None
     for number in range(args.rounds):
