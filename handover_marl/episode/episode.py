@@ -59,7 +59,7 @@ class SceneConfig:
         camera_model: Projection of the cameras' point clouds: handoversim (shifted by one pixel, as in the
             original) or pinhole.
         camera_noise: Noise and latency of the cameras: default none, realsense, or in Python a `CameraNoise`.
-        cameras: Cameras of the observations, names (wrist, front, over_shoulder) or in Python also `CameraConfig`s.
+        cameras: Cameras of the observations, each a name (wrist, front, over_shoulder) or in Python a `CameraConfig`.
         camera_randomization: Random deviations of the cameras from their configuration, in Python a
             `CameraRandomization`; default none.
         world_config: World and rules; published results exist only for the default.
