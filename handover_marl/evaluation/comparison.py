@@ -62,10 +62,10 @@ class Comparison(TabularResult):
     def build_sections(self) -> list[str | ReportTable]:
         """Build headings, note and tables: rates, scenes with different outcomes, and fluency metrics."""
         names, changes = self.names, build_difference_table(self.pairs, self.names)
-        clocks = [report.metadata.inference_time or "0 (the person waits)" for report in (self.first, self.second)]
+        times = [report.metadata.inference_time or "0 (the person waits)" for report in (self.first, self.second)]
         return [
             f"{names[0]}: {self.first.heading}\n{names[1]}: {self.second.heading}",
-            "" if clocks[0] == clocks[1] else f"Inference time differs: {clocks[0]} and {clocks[1]}.",
+            "" if times[0] == times[1] else f"Inference time differs: {times[0]} and {times[1]}.",
             _NOTE.format(n=len(self.pairs)),
             build_rate_table(self.pairs, names),
             changes,

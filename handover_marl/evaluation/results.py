@@ -53,7 +53,7 @@ REPLAYS, TRACES, DEMONSTRATIONS, DEMONSTRATIONS_METADATA = "episodes", "traces",
 _MAX_BYTES = 64_000_000  # unpacked size of one scene's result, or size of an episode file
 _FLUENCY_PREFIX = "fluency_"
 #: Fields of `EpisodeResult` that only evaluations with inference time have.
-CLOCK_KEYS = ("late_s", "early_grab")
+INFERENCE_KEYS = ("late_s", "early_grab")
 _MAX_TEXT, _MAX_NUMBER = 10_000, 1e9  # characters of a description; largest number
 
 
@@ -361,7 +361,7 @@ def describe_episode(episode: EpisodeResult) -> dict[str, Any]:
     Without inference time, the fields `late_s` and `early_grab` are left out.
     """
     values = {**asdict(episode), "status": int(episode.status), "outcome": episode.status.label}
-    return values if episode.late_s is not None else {key: values[key] for key in values if key not in CLOCK_KEYS}
+    return values if episode.late_s is not None else {key: values[key] for key in values if key not in INFERENCE_KEYS}
 
 
 def format_episode_file(metadata: ResultMetadata, episodes: Iterable[EpisodeResult]) -> str:

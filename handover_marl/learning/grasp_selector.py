@@ -44,8 +44,9 @@ _BOXES = ((GRIPPER_BOX_CENTERS[0] - _SHIFT, GRIPPER_BOX_HALF_SIZES[0] + _SHIFT),
 _N_CLEARANCES, _N_REACHES = 96, 12
 # Iterations of inverse kinematics, its damping, and the largest translation (m) and rotation (rad) of one.
 _N_ITERATIONS, _DAMPING, _MAX_TRANSLATION, _MAX_ROTATION = 10, 0.05, 0.3, 1.2
-# Amount by which joint limits are narrowed (rad), and weight of a rotation that remains (m/rad).
-_LIMIT_PADDING, _ERROR_ROTATION_WEIGHT = 0.03, 0.1
+# Amount by which joint limits are narrowed (rad), weight of a rotation that remains (m/rad), and largest distance of a
+# reachable pose that counts: larger ones cost the same (m).
+_LIMIT_PADDING, _ERROR_ROTATION_WEIGHT, _MAX_DISTANCE = 0.03, 0.1, 0.3
 
 
 class LowestCostGraspSelector:
@@ -160,7 +161,7 @@ class LowestCostGraspSelector:
         costs = costs + self.contact_cost * widen(clearances < self.min_clearance)
         poses, clearances, costs = _take_lowest(_N_REACHES, costs, poses, clearances)
         distances = self._compute_reach_distances(compose(objects[:, None], poses), observation["robot_joint_position"])
-        costs = costs + self.reach_weight * distances.clip(None, 0.3)
+        costs = costs + self.reach_weight * distances.clip(None, _MAX_DISTANCE)
         costs = costs + self.unreachable_cost * widen(distances > self.reach_tolerance)
         best, place = xp.argmin(costs, axis=1), self._arrays.arange(len(costs))
         return poses[place, best], clearances[place, best]
@@ -193,8 +194,8 @@ class LowestCostGraspSelector:
             translation = target[:, :3] - position
             if iteration == _N_ITERATIONS:
                 break
-            rotation = xp.sum(axes * _limit(rotation, _MAX_ROTATION)[:, None], axis=2)
-            twist = xp.concat([_limit(translation, _MAX_TRANSLATION), rotation], axis=1)
+            rotation = xp.sum(axes * _shorten(rotation, _MAX_ROTATION)[:, None], axis=2)
+            twist = xp.concat([_shorten(translation, _MAX_TRANSLATION), rotation], axis=1)
             angles = (angles + solve_damped(jacobian, twist, _DAMPING)).clip(self._low, self._high)
         errors = compute_lengths(translation) + _ERROR_ROTATION_WEIGHT * compute_lengths(rotation)
         return errors.reshape(count, number)
@@ -232,7 +233,7 @@ def _take_lowest(count: int, costs: AnyArray, *arrays: AnyArray) -> tuple[AnyArr
     return *arrays, costs
 
 
-def _limit(vectors: AnyArray, length: float) -> AnyArray:
+def _shorten(vectors: AnyArray, length: float) -> AnyArray:
     """Return vectors (m, 3), shortened to a length where they are longer."""
     return vectors * (length / compute_lengths(vectors).clip(length))[:, None]
 

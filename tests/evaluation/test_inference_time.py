@@ -41,7 +41,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[float | None, Path
 
 
 def test_without_inference_time_nothing_changes(folders: dict[float | None, Path]) -> None:
-    """Evaluations without the option state nothing about it; a time of zero has the same motion to the bit."""
+    """Reports without inference time do not mention it; with a time of 0 s the motion is equal to the bit."""
     (off,), (zero,) = (handover_marl.evaluate(folders[time]).episodes for time in (None, 0.0))
     np.testing.assert_array_equal(read_actions(folders[None]), read_actions(folders[0.0]))
     assert (off.status, off.steps, off.release_step, off.fluency) == (

@@ -29,7 +29,7 @@ EpisodePair = tuple[EpisodeResult, EpisodeResult]
 #: Titles of the cells of an episode: its keys in `report.json`.
 SCENE_HEADER = ("scene id", "object name", "subject", "side", "outcome", "steps", "release step", "plan s")
 # Further cells in evaluations with inference time.
-_CLOCK_HEADER = ("late s", "early grab")
+_INFERENCE_HEADER = ("late s", "early grab")
 # Cells of a scene that identify it, and those of its outcome.
 _SCENE, _OUTCOME = slice(0, 2), slice(4, 7)
 FLUENCY_NOTE = (
@@ -46,7 +46,7 @@ def count_status(episodes: Iterable[EpisodeResult], status: EpisodeStatus) -> in
 
 def get_scene_header(episodes: Iterable[EpisodeResult]) -> tuple[str, ...]:
     """Return the titles of the cells of episodes: `SCENE_HEADER`, and two more if inference took simulated time."""
-    return SCENE_HEADER + (_CLOCK_HEADER if any(episode.late_s is not None for episode in episodes) else ())
+    return SCENE_HEADER + (_INFERENCE_HEADER if any(episode.late_s is not None for episode in episodes) else ())
 
 
 def format_scene_cells(episode: EpisodeResult) -> list[str]:
