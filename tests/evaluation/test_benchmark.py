@@ -21,6 +21,7 @@ from handover_marl.errors import (
     PolicyError,
     ResultsError,
     SceneError,
+    SceneError,
     UnknownArgumentError,
 )
 from handover_marl.evaluation.episode_runner import EpisodeRunner
@@ -58,6 +59,14 @@ def test_a_config_equals_its_fields_as_options(fake_data: Path, tmp_path: Path) 
     ):
         with pytest.raises(error, match=message):
             call()
+
+
+def test_pairs_are_evaluated_on_val_by_default() -> None:
+    options: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "scenes": [105]}
+    with pytest.raises(SceneError, match="scene 105 is not in s0 val"):
+        handover_marl.evaluate_pair("replay", "hold", **options)
+    with pytest.raises(SceneError, match="scene 105 is not in s0 test"):
+        handover_marl.evaluate_pair("replay", "hold", split="test", **options)
 
 
 def test_results_are_official_files(fake_data: Path, tmp_path: Path) -> None:
