@@ -21,7 +21,6 @@ from handover_marl.errors import (
     PolicyError,
     ResultsError,
     SceneError,
-    SceneError,
     UnknownArgumentError,
 )
 from handover_marl.evaluation.episode_runner import EpisodeRunner
