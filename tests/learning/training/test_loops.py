@@ -18,7 +18,6 @@ SCRIPTS = {
     "train_both_torchrl": "torchrl",
     "train_both_rllib": "ray.rllib",
     "train_both_benchmarl": "benchmarl",
-    "train_both_tianshou": "tianshou",
 }
 SMALL: dict[str, Any] = {
     **{"dataset": "synthetic", "decisions": 32, "batch_size": 16, "minibatch_size": 8, "epochs": 1},
