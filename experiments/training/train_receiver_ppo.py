@@ -29,12 +29,7 @@ from handover_marl.geometry.arrays import make_tensor_factory
 from handover_marl.learning.adapters.modules import dense_network_from_module
 from handover_marl.learning.policy_files import check_policy_path, read_policy, write_policy
 from handover_marl.learning.policy_spec import DenseNetwork, PolicySpec
-from handover_marl.learning.training.run_folder import (
-    describe_origin,
-    make_mlp,
-    print_validation,
-    spawn_seeds,
-)
+from handover_marl.learning.training.run_folder import describe_origin, make_mlp, print_validation, spawn_seeds
 from handover_marl.learning.training.scene_arguments import RlArgs, run_script
 from handover_marl.simulation.engines import CPU, THREADS, WARP, BatchBackend, check_backend
 

@@ -21,12 +21,7 @@ from handover_marl.episode.camera_observations import (
     resolve_cameras,
 )
 from handover_marl.episode.giver_motion import NO_DEVIATION, PLANNED_STEPS, GiverMotion, requests_release
-from handover_marl.episode.observations import (
-    Observation,
-    observe,
-    observe_giver_motion,
-    select_receiver_observation,
-)
+from handover_marl.episode.observations import Observation, observe, observe_giver_motion, select_receiver_observation
 from handover_marl.episode.referee import EpisodeStatus, Referee, RefereeState, ReleaseReason, make_judge
 from handover_marl.episode.spaces import STATE, has_camera
 from handover_marl.errors import ResetNeededError, check_name

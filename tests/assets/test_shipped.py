@@ -8,14 +8,7 @@ import numpy as np
 import pytest
 
 from handover_marl.assets.building.grasps import make_human_grasps
-from handover_marl.assets.hand_model import (
-    SIDES,
-    SUBJECT_SIZES,
-    SUBJECTS,
-    Side,
-    find_hand_urdf,
-    make_hand_geometry,
-)
+from handover_marl.assets.hand_model import SIDES, SUBJECT_SIZES, SUBJECTS, Side, find_hand_urdf, make_hand_geometry
 from handover_marl.assets.human_grasps import (
     GRASPED_OBJECTS,
     GRASPS_FILE,

@@ -27,10 +27,7 @@ from tests.episode.test_loop import ScribblingGiver
 from tests.helpers.equality import assert_equal
 
 SYNTHETIC: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "split": "val"}
-pytestmark = [
-    pytest.mark.filterwarnings("ignore::UserWarning"),
-    pytest.mark.usefixtures("only_known_scenes"),
-]
+pytestmark = [pytest.mark.filterwarnings("ignore::UserWarning"), pytest.mark.usefixtures("only_known_scenes")]
 
 
 @pytest.fixture

@@ -9,17 +9,8 @@ from gymnasium import spaces
 
 from handover_marl.config import GiverConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.episode.observations import (
-    giver_observation_space,
-    observe,
-    observe_giver_motion,
-    state_space,
-)
-from handover_marl.episode.spaces import (
-    check_giver_action,
-    check_receiver_action,
-    giver_action_space,
-)
+from handover_marl.episode.observations import giver_observation_space, observe, observe_giver_motion, state_space
+from handover_marl.episode.spaces import check_giver_action, check_receiver_action, giver_action_space
 from handover_marl.errors import ActionError
 from handover_marl.simulation.world import WorldState
 from tests.episode.one_giver import OneGiver
@@ -109,15 +100,7 @@ class Tensor:
         raise RuntimeError("Can't call numpy() on Tensor that requires grad")
 
 
-@pytest.mark.parametrize(
-    "action",
-    [
-        [0.1] * 9,
-        np.full(9, 0.1),
-        np.ones(9, dtype=bool),
-        np.arange(9),
-    ],
-)
+@pytest.mark.parametrize("action", [[0.1] * 9, np.full(9, 0.1), np.ones(9, dtype=bool), np.arange(9)])
 def test_real_numbers_are_rounded_to_float32(action: object) -> None:
     checked = check_receiver_action(action)
     assert checked.dtype == np.float32

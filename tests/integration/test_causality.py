@@ -130,10 +130,7 @@ def change_motion(scene: Scene, step: int, change: Callable[[Motion, int], Motio
     """Return the scene with changed motion after a step; the hand is absent from 0.5 s after the step on."""
     hand_last = scene.hand_last if scene.hand_last is None else min(scene.hand_last, step + 500)
     return replace(
-        scene,
-        object_dof=change(scene.object_dof, step),
-        hand_dof=change(scene.hand_dof, step),
-        hand_last=hand_last,
+        scene, object_dof=change(scene.object_dof, step), hand_dof=change(scene.hand_dof, step), hand_last=hand_last
     )
 
 

@@ -27,13 +27,7 @@ from handover_marl.learning.adapters.function_policy import LearnedPolicy
 from handover_marl.learning.features import count_features
 from handover_marl.learning.network_policies import make_network_array_policy
 from handover_marl.learning.policy_files import read_policy, write_policy
-from handover_marl.learning.policy_spec import (
-    ACTIVATIONS,
-    DenseNetwork,
-    InputNormalization,
-    OutputBounds,
-    PolicySpec,
-)
+from handover_marl.learning.policy_spec import ACTIVATIONS, DenseNetwork, InputNormalization, OutputBounds, PolicySpec
 from handover_marl.learning.schemes import count_outputs
 from handover_marl.policies.batch import ArrayPolicyBatch
 from handover_marl.policies.reference import parse_policy

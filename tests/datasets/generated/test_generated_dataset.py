@@ -16,9 +16,7 @@ from handover_marl.datasets.generated.config import (
 from handover_marl.datasets.generated.dataset import FIRST_CLASS, GRASPABLE_CLASSES, GeneratedDataset, write_hand_model
 from handover_marl.datasets.generated.hands import draw_person
 from handover_marl.datasets.generated.motion import resample_fingers, resample_poses
-from handover_marl.datasets.generated.post_arrival_motion import (
-    MAX_SPEED,
-)
+from handover_marl.datasets.generated.post_arrival_motion import MAX_SPEED
 from handover_marl.errors import HandoverError, SceneError, UnknownNameError
 from handover_marl.geometry.model_files.meshes import check_model, read_collision_mesh
 from tests.helpers.equality import hash_scene

@@ -14,12 +14,7 @@ from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError
 from handover_marl.evaluation.reports.tables import compute_wilson_interval
 from handover_marl.evaluation.strangers import protocol
 from handover_marl.evaluation.strangers.protocol import make_leaderboard, update_references
-from handover_marl.evaluation.strangers.references import (
-    Condition,
-    Reference,
-    ReferenceTable,
-    load_references,
-)
+from handover_marl.evaluation.strangers.references import Condition, Reference, ReferenceTable, load_references
 from handover_marl.evaluation.strangers.report import StrangersReport, read_report
 from handover_marl.policies.populations import load_population
 from tests.evaluation.strangers.populations import write_population
