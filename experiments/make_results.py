@@ -12,7 +12,6 @@ simulated once, and an interrupted run continues. Each template `docs/results/da
 outcomes.
 """
 
-import csv
 import json
 import re
 import shutil
@@ -367,12 +366,6 @@ def format_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join([head, f"|{'---|' * len(header)}", *lines])
 
 
-def make_csv_table(name: str) -> str:
-    """Return a CSV file of the folder `docs/results/data` as a Markdown table."""
-    header, *rows = csv.reader((DATA / name).read_text().splitlines())
-    return format_table(header, rows)
-
-
 def render_pages(evaluations: list[Evaluation]) -> dict[str, str]:
     """Return the Markdown text of each results page with a template, by file name."""
     environment = Environment(loader=FileSystemLoader(DATA), undefined=StrictUndefined, keep_trailing_newline=True)
@@ -382,7 +375,6 @@ def render_pages(evaluations: list[Evaluation]) -> dict[str, str]:
         "differences": lambda *args, **options: make_difference_table(evaluations, *args, **options),
         "success": lambda *args: format_success(evaluations, *args),
         "failures": lambda *args: make_failure_list(evaluations, *args),
-        "csv_table": make_csv_table,
     }
     names = sorted(path.name for path in DATA.glob("*.md.jinja"))
     return {name.removesuffix(".jinja"): environment.get_template(name).render(values) for name in names}

@@ -86,7 +86,7 @@ class ArrayGiver(Giver):
         self.start(0, seed)
 
     def act(self, observation: Observation) -> Action:
-        """Return the action (8,) for an observation of a giver that acts in a single episode."""
+        """Return the action (8,) in a single episode; `decide` is for several."""
         action: Action = self.decide(ONLY_ROW, add_episode_axis(observation))[0]
         return action
 

@@ -139,7 +139,7 @@ from handover_marl.simulation.engines import list_available_physics
 from handover_marl.testing import check_giver, check_receiver
 
 assert list_available_physics() == ("mujoco",)
-scene = dict(dataset="synthetic", physics="mujoco", scenes=[{SCENE}], workers=1)
+scene = dict(dataset="synthetic", split="test", physics="mujoco", scenes=[{SCENE}], workers=1)
 short = WorldConfig(protocol=ProtocolConfig(horizon_steps={SHORT}))
 for giver, receiver in {{pairs}}:
     robot = "panda_camera" if receiver.startswith("gaddpg") else "panda"

@@ -207,9 +207,9 @@ def run_strangers_references(
 def _check_path(out: str | None, suffix: str) -> Path | None:
     if out is None:
         return None
-    from handover_marl.visualization.pictures import check_output_path
+    from handover_marl.visualization.pictures import prepare_output_path
 
-    return check_output_path(out, (suffix,))
+    return prepare_output_path(out, (suffix,))
 
 
 def run_import(

@@ -143,8 +143,8 @@ def run_demonstrate(
     """Record episodes of a train split for imitation learning (--out DIR).
 
     Args:
-        obs_mode: Observation mode of the recording, independent of the receiver's: state, pointcloud, rgbd,
-            full_pointcloud, scene_pointcloud, or state and one of them (state+rgbd).
+        obs_mode: Observation mode of the recording, independent of the receiver's: parts joined by +, e.g.
+            state+rgb+depth.
         keep: Episodes to store: all (with their outcomes), or only those with success.
         fps: Frames per second, 1 to 1000, to record a constant rate; default: every decision, for exact replay.
     """
@@ -175,7 +175,7 @@ def run_render(
     """Render a scene, an episode in it, or a receiver's motion plan.
 
     Args:
-        scene: Number of the scene, 0 to 999.
+        scene: Number of the scene in its data set.
         out: Output file: .png for a grid of key frames, .gif or .mp4 for a video, .html for a 3D replay.
         receiver: The robot's policy; default: the robot stays at rest.
         plan: Render the plan of a receiver such as omg (.png): start, goals, chosen goal, path of the robot's hand.

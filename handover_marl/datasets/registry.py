@@ -136,7 +136,7 @@ class DataLocation:
     Attributes:
         argument: Absolute path of the folder passed as an argument, or "" if none was.
         environment: Absolute path in the environment variable `HANDOVER_MARL_DATA` of that machine,
-            or "" if it is not set or does not apply.
+            or "" if it is not set or the data set is not DexYCB.
     """
 
     argument: str = ""

@@ -95,7 +95,10 @@ def _is_in_split(scene: int, selected: _Filter, find_side: Callable[[int], str])
 
 
 def get_prescribed_side(scene: int) -> Literal["left", "right"]:
-    """Return the hand that DexYCB prescribed to the giver of a scene; only for trials in `PRESCRIBED_SIDE_TRIALS`."""
+    """Return the hand, prescribed by DexYCB, that the giver of a scene uses.
+
+    Only trials in `PRESCRIBED_SIDE_TRIALS` have a prescribed hand; for other trials, the recording states the hand.
+    """
     return "right" if scene % 5 < 2 else "left"
 
 

@@ -51,7 +51,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
     checked every physics step (1 ms), so that the last control step of an episode may be shorter.
 
     Observation: a dictionary of arrays for each agent; world frame, m, rad, s, quaternions xyzw.
-        - receiver: joints, gripper, objects and human hand in the mode "state", wrist camera data in
+        - receiver: joints, gripper, objects and human hand in the mode "state", camera data in
           others; keys and shapes: `handover_marl.episode.observations.receiver_observation_space`.
         - giver: the state, the recording's next half second and the current deviation; keys and
           shapes: `handover_marl.episode.observations.giver_observation_space`.
@@ -368,7 +368,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
 
 
 def draw_seeds(rng: np.random.Generator, config: WorldConfig) -> tuple[int, int]:
-    """Return 32-bit seeds of the noise on the robot's initial joints and of the wrist camera.
+    """Return 32-bit seeds of the noise on the robot's initial joints and of the cameras.
 
     The first is drawn from `rng` if there is noise on the joints, else it is 0. The second is spawned from `rng`, which
     does not change the numbers that `rng` draws.

@@ -107,7 +107,7 @@ class EpisodePolicy(Protocol):
         """Name of the policy."""
 
     def prepare(self, object_names: Sequence[str]) -> None:
-        """Prepare for episodes with the objects of these YCB names."""
+        """Prepare for episodes with the objects of these class names."""
 
     def reset(self, seed: int | None = None) -> None:
         """Start an episode; `seed` seeds the policy's random generator."""
@@ -126,7 +126,7 @@ def start_policy(policy: EpisodePolicy, seed: int | None, object_names: Sequence
     Args:
         policy: Policy to start.
         seed: Seed of the policy.
-        object_names: YCB names of the objects, the one that is handed over first.
+        object_names: Class names of the objects, the one that is handed over first.
 
     Raises:
         PolicyError: The policy fails.
@@ -180,8 +180,8 @@ class EpisodeAgent:
     """Policy that acts for one agent in one episode at its own control period, and the action that it holds.
 
     The policy's seed is derived from the seed of the run: `derive_giver_seed` for a giver, `derive_receiver_seed` for a
-    receiver, whose `reset` is called at its first decision. For a receiver, the random draws of the wrist camera are
-    seeded, too.
+    receiver, whose `reset` is called at its first decision. For a receiver, the random draws of the cameras are seeded,
+    too.
 
     Args:
         episode: Episode at the start of a scene.

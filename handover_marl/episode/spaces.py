@@ -8,8 +8,8 @@ from handover_marl.config import OFFICIAL_CONFIG, PANDA_DOF, GiverConfig
 from handover_marl.errors import ActionError, UnknownNameError
 from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
 
-#: Parts of an observation mode, joined by "+": the simulator's state, and data of the wrist camera, named as in
-#: ManiSkill. Without "state", an observation has only the keys `observations.PROPRIOCEPTION` of the state beside the
+#: Parts of an observation mode, joined by "+": the simulator's state, and data of cameras, named as in ManiSkill.
+#: Without "state", an observation has only the keys `observations.PROPRIOCEPTION` of the state beside the
 #: camera's data (joint positions and velocities, pose of the hand link, time), so that a policy cannot use the true
 #: poses by accident.
 STATE, POINTCLOUD, SCENE_POINTCLOUD, FULL_POINTCLOUD = "state", "pointcloud", "scene_pointcloud", "full_pointcloud"
@@ -45,7 +45,7 @@ def has_state(obs_mode: str) -> bool:
 
 
 def has_camera(obs_mode: str) -> bool:
-    """Return whether an observation mode includes data of the wrist camera."""
+    """Return whether an observation mode includes data of cameras."""
     return bool(parse_obs_mode(obs_mode) - {STATE})
 
 

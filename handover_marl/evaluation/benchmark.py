@@ -83,7 +83,7 @@ def evaluate_pair(
     giver: PolicyLike | EvaluationConfig = REPLAY,
     receiver: PolicyLike = "yang2021",
     setup: str | None = None,
-    split: str = "test",
+    split: str = "val",
     execution: ExecutionConfig | None = None,
     **options: Any,
 ) -> Report:
@@ -94,7 +94,7 @@ def evaluate_pair(
             whole `handover_marl.EvaluationConfig`.
         receiver: The robot's policy: a registered name, a class or an instance, as for `benchmark`.
         setup: Official setup, "s0" to "s3", or a setup of other data; default: the first of the dataset.
-        split: "train", "val" or "test". The command `pair` evaluates "val" by default.
+        split: "train", "val" or "test"; ignored if `giver` is a whole configuration.
         execution: Execution settings; or pass its fields as options.
         options: Fields of `handover_marl.EvaluationConfig` and `handover_marl.ExecutionConfig`.
 

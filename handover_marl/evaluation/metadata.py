@@ -51,7 +51,7 @@ class ResultMetadata:
         wait_s: Time that the receiver waits before it approaches (s); empty if unknown.
         robot: Robot model, with or without the wrist camera.
         obs_mode: Observation mode of the receiver.
-        camera: Renderer, camera model and noise of the wrist camera; empty if the receiver does not use it.
+        camera: Renderer, camera model and noise of the cameras; empty if the receiver uses none.
         recorded: Recordings kept beside the results; empty if there are none.
         shard: Part of the evaluation in this folder; empty if the evaluation has no shards.
         missing_package: "PyBullet" if it is not installed, so that inverse kinematics, grasp

@@ -26,13 +26,13 @@ from handover_marl.visualization.pictures import (
     SUFFIXES,
     FrameRecorder,
     Picture,
-    check_output_path,
     draw_caption,
     draw_plan_figure,
     draw_wrist_view,
     encode_grid,
     encode_video,
     format_caption,
+    prepare_output_path,
 )
 from handover_marl.visualization.replay_recorder import ReplayRecorder
 from handover_marl.visualization.replay_scene import build_replay_page, require_replay_extra
@@ -118,7 +118,7 @@ def render_scene(
         UnknownNameError: The view, or another name, is unknown.
         SceneError, DataNotFoundError, DataFormatError: As for `benchmark`.
     """
-    path = check_output_path(out, SUFFIXES)
+    path = prepare_output_path(out, SUFFIXES)
     suffix = path.suffix.lower()
     check_name("view", view, ("outside", "wrist"))
     if suffix != ".html":
@@ -194,7 +194,7 @@ def render_plan(
         OptionError: The receiver has no planner, the suffix is not .png, or matplotlib is not installed.
         UnknownNameError, SceneError, DataNotFoundError, DataFormatError: As for `benchmark`.
     """
-    path = check_output_path(out, (".png",))
+    path = prepare_output_path(out, (".png",))
     require_modules("a plan", "plot", "matplotlib")
     check_config("camera", camera, CameraConfig)
     runner, scene, _ = _open_scene(scene_id, receiver, giver, options)

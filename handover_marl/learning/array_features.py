@@ -46,7 +46,7 @@ class ArrayFeatures(ABC):
         name: Name of the features in policy files.
         agent: Agent whose observations are used, "giver" or "receiver".
         size: Number of features.
-        uses_camera: Whether the features may depend on the wrist camera's data.
+        uses_camera: Whether the features may depend on the data of cameras.
     """
 
     name: str

@@ -33,7 +33,7 @@ class PolicyBatch(ABC):
         Args:
             row: Index of the episode.
             seed: Seed of the policy in this episode.
-            object_names: YCB names of the objects, the one that is handed over first.
+            object_names: Class names of the objects, the one that is handed over first.
 
         Raises:
             PolicyError: The policy fails.
@@ -67,7 +67,7 @@ class SequentialPolicyBatch(PolicyBatch):
         self._due = np.zeros(len(policies), dtype=np.int64)
 
     def reset(self, row: int, seed: int | None, object_names: Sequence[str]) -> None:
-        """Start episode `row` with a seed of the policy and the objects' YCB names, the handed-over one first."""
+        """Start episode `row` with a seed of the policy and the objects' class names, the handed-over one first."""
         start_policy(self._policies[row], seed, object_names)
         self._due[row] = 0
 
@@ -94,7 +94,7 @@ class HostPolicyBatch(PolicyBatch):
         self._batch, self._arrays = batch, arrays
 
     def reset(self, row: int, seed: int | None, object_names: Sequence[str]) -> None:
-        """Start episode `row` with a seed of the policy and the objects' YCB names, the handed-over one first."""
+        """Start episode `row` with a seed of the policy and the objects' class names, the handed-over one first."""
         self._batch.reset(row, seed, object_names)
 
     def act(self, rows: AnyIndices, observe: ObserveFunction, steps: AnyIntegers) -> tuple[Actions, AnyIntegers]:
@@ -114,7 +114,7 @@ class ArrayPolicy(Protocol):
     """
 
     def prepare(self, object_names: Sequence[str]) -> None:
-        """Prepare for an episode with the objects of these YCB names."""
+        """Prepare for an episode with the objects of these class names."""
 
     def start(self, row: int, seed: int | None) -> None:
         """Start the episode with index `row`, whose random numbers `seed` determines."""
@@ -142,7 +142,7 @@ class ArrayPolicyBatch(PolicyBatch):
         self._due = arrays.zeros(count, "int64")
 
     def reset(self, row: int, seed: int | None, object_names: Sequence[str]) -> None:
-        """Start episode `row` with a seed of the policy and the objects' YCB names, the handed-over one first."""
+        """Start episode `row` with a seed of the policy and the objects' class names, the handed-over one first."""
         self._due[row] = 0
         self._policy.prepare(object_names)
         self._policy.start(row, seed)

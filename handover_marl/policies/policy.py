@@ -103,7 +103,7 @@ class Policy(ABC):
         agent: Agent that the policy acts for, "giver" or "receiver"; None for either.
         name: Name of the policy in tables and files.
         control_period: Time between two decisions (s); a whole number of milliseconds.
-        obs_mode: Observation mode of a receiver: "state", or wrist camera data such as "pointcloud" or
+        obs_mode: Observation mode of a receiver: "state", or camera data such as "pointcloud" or
             "state+rgbd"; see `handover_marl.episode.spaces.OBS_PARTS`. Images are rendered only when the
             policy acts, and rendering does not count as planning time.
         file_options: Constructor options that name a file or folder, which is sent to other machines.

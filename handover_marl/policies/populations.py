@@ -219,7 +219,7 @@ class PopulationPolicy(Policy):
         members: Policies of the members.
 
     Raises:
-        OptionError: All members of the split need the wrist camera.
+        OptionError: All members of the split need a camera.
         HandoverError: The same errors as `load_population`.
     """
 

@@ -1,1 +1,1 @@
-"""Physics simulation of handover scenes: common interfaces, PyBullet, MuJoCo, wrist camera."""
+"""Physics simulation of handover scenes: common interfaces, PyBullet, MuJoCo, cameras."""

@@ -83,8 +83,8 @@ class BodyTrajectory:
 
     Attributes:
         gains: Fraction (d,) of its position error that each joint corrects in a step.
-        joints: Joint positions (n + 2, d) after the last two steps before the current reference motion, and after
-            each of its n steps (m, rad); zeros while the body is absent.
+        joints: Joint positions (n + 2, d) in m and rad: rows 0 and 1 are those after the last two steps before the
+            reference motion, row k + 2 that after its step k; zeros while the body is absent.
         present: Whether the body is in the scene after these steps, (n + 2,).
     """
 

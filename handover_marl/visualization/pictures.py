@@ -89,8 +89,8 @@ class FrameRecorder(EpisodeCallback):
         self._progress.stop()
 
 
-def check_output_path(out: str | os.PathLike[str], suffixes: Sequence[str]) -> Path:
-    """Return the path of an output file, after creating its folder and checking that it is writable.
+def prepare_output_path(out: str | os.PathLike[str], suffixes: Sequence[str]) -> Path:
+    """Create the folder of an output file, check that it is writable, and return the file's path.
 
     Args:
         out: Path of the file; `~` is expanded.

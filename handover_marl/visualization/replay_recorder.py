@@ -89,7 +89,7 @@ class ReplayRecorder(EpisodeCallback):
         self._record_frame(episode)
 
     def on_decision(self, episode: Episode, decision: PolicyDecision) -> None:
-        """Record the receiver's point clouds when its action takes effect, if it uses the wrist camera."""
+        """Record the receiver's point clouds when its action takes effect, if it uses a camera."""
         obs_mode = STATE if self._receiver is None else self._receiver.obs_mode
         if has_camera(obs_mode) and decision.receiver_decided:
             clouds = _observed_clouds(episode, obs_mode)

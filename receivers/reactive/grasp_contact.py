@@ -97,9 +97,10 @@ def load_obstacle(context: PolicyContext, object_name: str) -> Spheres:
 def find_offset_grasps(
     graspable: GraspableObject, human_hand: Spheres, config: ReactiveConfig
 ) -> tuple[ValidatedGrasps, Array]:
-    """Return copies of an object's grasps, moved clear of the person's hand, and their pad margins (n,) in m.
+    """Return shifted copies of an object's grasps that are clear of the person's hand, and their margins (n,) in m.
 
-    The hand is given in the object's frame; copies are made by `perturb_grasps`.
+    The margin of a grasp is the distance of its contacts from the edges of the finger pads (`compute_pad_margins`);
+    copies with a small margin are left out. The hand is given in the object's frame; `perturb_grasps` makes the copies.
     """
     offset = perturb_grasps(graspable.grasps, graspable.points, human_hand, config.approach.standoff)
     margins = compute_pad_margins(offset.poses, graspable.points)

@@ -246,7 +246,7 @@ def test_programs_run(page: Path, small: None, monkeypatch: pytest.MonkeyPatch) 
             receiver="yang2021:wait=0",
             physics="fast",
             obs_mode="state+pointcloud",
-            out="DIR",
+            out="runs/demos",
             progress=False,
             workers=1,
             fps=10,

@@ -79,7 +79,7 @@ def test_pages_are_made_from_stored_outcomes_of_whole_splits() -> None:
     for one in evaluations:
         assert one.success + one.contact + one.drop + one.timeout == one.episodes == SIZES[one.setup]
     pages = make_results.render_pages(evaluations)
-    assert {"index.md", "reactive.md", "tables.md", "test_use.md"} <= {*pages}
+    assert {"index.md", "reactive.md", "tables.md"} <= {*pages}
     for page, text in pages.items():
         assert text == (RESULTS / page).read_text(), f"{page} differs; run experiments/make_results.py"
 

@@ -15,6 +15,7 @@ import handover_marl
 from handover_marl.config import OFFICIAL_CONFIG
 from handover_marl.datasets.generated.config import FAMILY_DEFAULTS
 from handover_marl.envs import rewards
+from handover_marl.envs.config import EnvConfig
 from handover_marl.envs.rewards import SHAPED, SPARSE
 from handover_marl.episode.camera_observations import camera_observation_space
 from handover_marl.episode.observations import giver_observation_space, state_space
@@ -40,7 +41,7 @@ CHECKED = {
     *("receiver actions", "giver actions", "rewards", "reward terms", "generated scenes", "receiver inputs"),
     *("shared observations", "giver observations", "camera observations"),
     *("rules", "official metrics", "fluency metrics", "episode columns", "identity", "comparison columns"),
-    *("packages", "inference time", "driver inputs"),
+    *("packages", "inference time", "driver inputs", "arguments"),
 }
 OFFICIAL_COLUMNS = (
     tables.N_EPISODES,
@@ -118,6 +119,13 @@ def test_state_and_infos() -> None:
     assert documented is not None
     keys = {bare(line.split("|")[1]) for line in documented[1].splitlines()}
     assert keys == {"reward/..." if key.startswith("reward/") else key for key in infos["giver"]}
+
+
+def test_arguments_of_environments() -> None:
+    rows = checked_table(ENVIRONMENT, "arguments")
+    defaults = {field.name: repr(field.default).replace("'", '"') for field in dataclasses.fields(EnvConfig)}
+    assert defaults["world_config"] == repr(OFFICIAL_CONFIG).replace("'", '"')
+    assert {bare(row[0]): bare(row[1]) for row in rows} == defaults | {"world_config": "OFFICIAL_CONFIG"}
 
 
 def test_rewards() -> None:

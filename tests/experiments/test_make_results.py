@@ -82,9 +82,9 @@ def test_stored_outcomes_are_printed(pages: Path, tmp_path: Path) -> None:
     files = [tmp_path / path for path in command.split()[2:]]
     assert handover_marl.compare(*files).build_tables()[0].rows[0][3] in difference
     assert "- s0, wait 0 s, version 9.9.9: " in text
-    log = (pages / "test_use.md").read_text()
-    assert "dexycb s0 | 9.9.9 | yang2021 | replay, exact | 144 | a test |" in log
-    assert log.count("| a test |") == 3
+    log = (pages / "data" / "test_use.csv").read_text()
+    assert 'dexycb s0,9.9.9,yang2021,"replay, exact",144,a test\n' in log
+    assert log.count(",a test\n") == 3
 
 
 def test_adding_twice_changes_nothing(pages: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -114,7 +114,7 @@ class ArrayEpisodes:
             scene: Scene of the episode.
             seed: Run seed, from which the seed of the partner is derived.
             robot_seed: Seed of the robot's initial joint positions.
-            camera_seed: Seed of the wrist camera.
+            camera_seed: Seed of the cameras.
         """
         episodes, rows = self._episodes, self.arrays.asarray([row])
         episodes.reset(row, scene, robot_seed)

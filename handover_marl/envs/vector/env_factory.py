@@ -90,12 +90,12 @@ class EnvFactory:
 
         Raises:
             OptionError: The environments must be simulated with "threads": for their physics or wrappers, or because
-                the wrist camera has data or noise that only "threads" can simulate, or the partner, a user-defined
-                reward or a user-defined action scheme observes it.
+                a camera has data or noise that only "threads" can simulate, or the partner, a user-defined
+                reward or a user-defined action scheme observes a camera.
         """
         for is_wrong, need in self._list_camera_faults():
             if is_wrong:
-                raise OptionError(f"wrist cameras with backend='warp' need {need}; use backend='threads'")
+                raise OptionError(f"cameras with backend='warp' need {need}; use backend='threads'")
         if not self.uses_arrays:
             raise OptionError(
                 "with backend='warp', environments must have physics='mujoco', render_mode=None and no wrappers but "
@@ -121,7 +121,7 @@ class EnvFactory:
         return env if self.features is None and self.schemes is None else encode(env, self.features, self.schemes)
 
     def _list_camera_faults(self) -> list[tuple[bool, str]]:
-        """Return pairs: whether a requirement of wrist cameras on a device is violated, and the requirement as text."""
+        """Return pairs: whether a requirement of cameras on a device is violated, and the requirement as text."""
         config = self.config
         faults = [
             (env.policy.obs_mode != STATE, f"a partner without a camera, got {env.policy.name!r}")

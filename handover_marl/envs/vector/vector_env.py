@@ -171,7 +171,7 @@ def vector_env(
             its own models.
         backend: Backend of the simulation: "threads" for MuJoCo on the processor, or "warp" for MuJoCo Warp, which
             steps all environments together and returns PyTorch tensors on `device`. Its results are not bit-identical
-            to those of "threads". The backend renders the wrist camera on the device, without noise, for all
+            to those of "threads". The backend renders cameras on the device, without noise, for all
             observation modes but "full_pointcloud"; the random subsets of point clouds with more than 1024 points
             differ from those of "threads".
         device: Device of the simulation: "cpu", or "cuda" for a GPU with "warp". MuJoCo Warp on "cpu" is for tests.

@@ -231,7 +231,7 @@ def _complete_choices(argument: str, defaults: dict[str, str], choices: Any, age
 def _check_state(obs_mode: str, features: Any, scheme: Any) -> None:
     """Check that the receiver observes the state if its features or its scheme are computed from it.
 
-    User-defined features and user-defined schemes may use the wrist camera's data alone.
+    User-defined features and user-defined schemes may use the data of cameras alone.
     """
     uses_state = (isinstance(features, str) and not is_reference(features)) or scheme in _SCHEMES_FROM_STATE
     if uses_state and not has_state(obs_mode):

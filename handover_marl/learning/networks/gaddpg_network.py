@@ -140,7 +140,8 @@ class GaddpgNetwork(SavedNetwork):
         """Return the next motion of the robot's hand for each of B clouds, computed in one thread.
 
         Args:
-            clouds: (B, 4, 1024 or 1030) clouds as in `forward`.
+            clouds: (B, 4, 1024) points of the object, xyz in the hand link's frame (m) and a zero; or (B, 4, 1030) with
+                six points of the gripper before them.
             remaining: (B,) numbers of decisions that remain in the approach.
 
         Returns:

@@ -322,7 +322,7 @@ class PandaBody(ArticulatedBody):
         self.client.changeVisualShape(self.id, self._camera_link, rgbaColor=rgba)
 
     def park(self) -> None:
-        """Reset the robot to its start joints, without collisions until `reset_to_start`."""
+        """Put the robot at its start joints without collisions, between two episodes; `reset_to_start` ends this."""
         self.reset_joints(self._start)
         self.set_collision_mask(0)
 

@@ -1,1 +1,1 @@
-"""Simulated wrist camera of the Panda: optics, noise, renderers and the ray caster."""
+"""Simulated cameras: optics, noise, renderers and the ray caster."""

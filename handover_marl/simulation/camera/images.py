@@ -1,4 +1,4 @@
-"""Images of the wrist camera, their segmentation labels, and the joint positions of the bodies that they show."""
+"""Images of a camera, their segmentation labels, and the joint positions of the bodies that they show."""
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 
 class SegmentationLabel(IntEnum):
-    """Labels of the pixels in a segmentation mask of the wrist camera."""
+    """Labels of the pixels in a segmentation mask of a camera."""
 
     BACKGROUND = 0  # ground, or beyond the depth range
     ROBOT = 1
@@ -21,12 +21,12 @@ class SegmentationLabel(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class CameraImage:
-    """Depth image, segmentation mask and colours of the wrist camera.
+    """Depth image, segmentation mask and colours of a camera of h x w pixels.
 
     Attributes:
-        depth: (224, 224) float32 depth along the viewing axis (m); `EMPTY_DEPTH`, just under 2 m, for background.
-        segmentation: (224, 224) uint8 values of `SegmentationLabel`.
-        rgb: (224, 224, 3) uint8 colours, or None.
+        depth: (h, w) float32 depth along the viewing axis (m); `EMPTY_DEPTH`, just under 2 m, for background.
+        segmentation: (h, w) uint8 values of `SegmentationLabel`.
+        rgb: (h, w, 3) uint8 colours, or None.
     """
 
     depth: npt.NDArray[np.float32]
@@ -34,7 +34,7 @@ class CameraImage:
     rgb: npt.NDArray[np.uint8] | None = None
 
     def compute_mask(self, label: SegmentationLabel) -> npt.NDArray[np.bool_]:
-        """Return a boolean mask (224, 224) of the pixels with a segmentation label."""
+        """Return a boolean mask (h, w) of the pixels with a segmentation label."""
         mask: npt.NDArray[np.bool_] = self.segmentation == label
         return mask
 

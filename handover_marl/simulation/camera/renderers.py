@@ -1,4 +1,4 @@
-"""Selection of the wrist camera's renderer."""
+"""Selection of the renderer of cameras."""
 
 from handover_marl.errors import check_name
 from handover_marl.execution.options import is_pybullet_installed, require_modules, require_pybullet
@@ -11,7 +11,7 @@ _RAY_MODULES = ("embreex", "trimesh")
 
 
 def resolve_renderer(name: str, physics: str) -> str:
-    """Return the wrist camera's renderer of a name, "bullet" or "rays", after a check that it is installed.
+    """Return the renderer of cameras of a name, "bullet" or "rays", after a check that it is installed.
 
     Args:
         name: Name of the renderer or "auto", one of `RENDERERS`.

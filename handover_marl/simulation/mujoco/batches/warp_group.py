@@ -75,11 +75,11 @@ class WarpRollout:
 class WarpGroup:
     """Worlds that MuJoCo Warp steps together, because their models have the same layout (shapes and constants).
 
-    Tensors have n rows, one for each world of the batch; rows of worlds in other groups are unused.
+    The batch has n worlds in all. Tensors of every group have n rows, of which a group uses those of its own worlds.
 
     Args:
         scene: First scene of the group, padded to its layout with absent objects and hulls (`load_padded_model`).
-        count: Number n of worlds in the batch, in all groups.
+        count: Number n of worlds in all groups of the batch.
         config: Constants of the worlds.
         arrays: Creator of tensors on the device.
 
