@@ -58,16 +58,10 @@ def test_files_are_read_from_folders_and_archives(tmp_path: Path) -> None:
 
 
 def test_archives_that_unpack_to_too_much_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    sources = [tar(tmp_path / "a.tar.gz", "w:gz"), zipped(tmp_path / "a.zip")]
-    size = sum(map(len, CONTENT.values()))
-    for limit in (size, size - 1):
-        monkeypatch.setattr(stand_ins, "MAX_UNPACKED_BYTES", limit)
-        for source in sources:
-            if limit == size:
-                assert contents(source) == CONTENT
-                continue
-            with pytest.raises(DataFormatError, match="unpacks to more than"):
-                contents(source)
+    monkeypatch.setattr(stand_ins, "MAX_UNPACKED_BYTES", sum(map(len, CONTENT.values())) - 1)
+    for source in (tar(tmp_path / "a.tar.gz", "w:gz"), zipped(tmp_path / "a.zip")):
+        with pytest.raises(DataFormatError, match="unpacks to more than"):
+            contents(source)
 
 
 def link(name: str, kind: bytes, target: str) -> tarfile.TarInfo:

@@ -26,6 +26,7 @@ from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, to_numpy
 from handover_marl.learning.adapters.function_policy import LearnedPolicy
 from handover_marl.learning.features import count_features
 from handover_marl.learning.network_policies import make_network_array_policy
+from handover_marl.learning.offers import OFFER_FEATURES
 from handover_marl.learning.policy_files import read_policy, write_policy
 from handover_marl.learning.policy_spec import ACTIVATIONS, DenseNetwork, InputNormalization, OutputBounds, PolicySpec
 from handover_marl.learning.schemes import count_outputs
@@ -74,7 +75,7 @@ def test_written_policy_is_read_back(tmp_path: Path) -> None:
     ("change", "message"),
     [
         ({"features": "smell"}, "features of the giver 'smell'; valid: giver"),
-        ({"features": "offer"}, "of train_giver_offers.py; pass adaptive:weights=.*policy.npz"),
+        ({"features": OFFER_FEATURES}, "of train_giver_offers.py; pass adaptive:weights=.*policy.npz"),
         ({"actions": "cartesian_delta"}, "action scheme of the giver"),
         ({"actions": "deviation"}, "must have 39 inputs and 8 outputs, got 39 and 7"),
         ({"agent": "receiver"}, "policy must be for the giver, got one for the receiver"),
