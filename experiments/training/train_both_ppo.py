@@ -86,19 +86,7 @@ class Collector:
     def __init__(self, number: int, args: Args) -> None:
         self.args, count = args, args.num_envs // args.workers
         self.envs = handover_marl.vector_env(
-            count,
-            None,
-            features=FEATURES,
-            schemes=SCHEMES,
-            autoreset="same_step",
-            setup=args.setup,
-            split="train",
-            dataset=args.dataset,
-            data_dir=args.data_dir,
-            physics=args.physics,
-            control_period=args.control_period,
-            max_cycles=args.max_cycles,
-            processes=1,
+            count, None, features=FEATURES, schemes=SCHEMES, autoreset="same_step", processes=1, **args.env_options
         )
         noise_seed, *seeds = spawn_seeds(1 + count, args.seed, number)
         self.generator = torch.Generator().manual_seed(noise_seed)

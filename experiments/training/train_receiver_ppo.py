@@ -145,15 +145,9 @@ class Collector:
             features=args.features,
             schemes=args.actions,
             autoreset="same_step",
-            setup=args.setup,
-            split="train",
-            dataset=args.dataset,
-            data_dir=args.data_dir,
-            physics=args.physics,
-            control_period=args.control_period,
-            max_cycles=args.max_cycles,
             rewards=set_discount(args.rewards, args.discount),
             **where,
+            **args.env_options,
         )
         noise_seed, *seeds = spawn_seeds(1 + count, args.seed, number)
         self.generator = torch.Generator(args.device).manual_seed(noise_seed)

@@ -1,5 +1,3 @@
-"""Tests of reading data in the official layout, small ones and DexYCB."""
-
 import json
 from pathlib import Path
 

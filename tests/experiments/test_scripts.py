@@ -47,10 +47,3 @@ def test_own_receiver(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFix
     found = example.main(example.Args(dataset="synthetic", scenes=scenes, workers=1))
     assert [episode.scene_id for episode in found.episodes] == list(scenes)
     assert "success" in capsys.readouterr().out
-
-
-def test_pettingzoo_two_learners(monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("torch", reason="needs the extra `train`")
-    example = script("pettingzoo_two_learners", monkeypatch)
-    learners = example.main(example.Args(dataset="synthetic", episodes=1, batch=1, max_cycles=3))
-    assert set(learners) == {"giver", "receiver"}
