@@ -14,26 +14,13 @@ author = "The handover_marl developers"
 project_copyright = author
 version = release = handover_marl.__version__
 
-extensions = [
-    "myst_nb",
-    "sphinx.ext.autodoc",
-    "sphinx.ext.napoleon",
-    "sphinx.ext.viewcode",
-    "sphinx_copybutton",
-]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode", "sphinx_copybutton"]
 exclude_patterns = ["_build", "**.ipynb_checkpoints", "results/data"]
 nitpicky = True
 # References to other projects are not checked, so the build needs no network.
 nitpick_ignore_regex = [("py:.*", r"(?!handover_marl).*")]
 # Types in signatures without a page of their own.
-nitpick_ignore_modules = (
-    "envs",
-    "episode",
-    "evaluation",
-    "execution",
-    "learning",
-    "policies",
-)
+nitpick_ignore_modules = ("envs", "episode", "evaluation", "execution", "learning", "policies")
 nitpick_ignore_regex += [("py:class", rf"handover_marl\.({'|'.join(nitpick_ignore_modules)})\..*")]
 
 html_theme = "furo"

@@ -32,6 +32,11 @@ from handover_marl.evaluation.metadata import OFFICIAL_WORLD, ResultMetadata
 from handover_marl.evaluation.reports.published import PUBLISHED, PublishedResult
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.tables import (
+    AVERAGE_SUCCESS,
+    N_EPISODES,
+    RATES,
+    TIMES,
+    WAIT,
     compute_wilson_interval,
     format_csv,
     format_percent_rate,
@@ -43,22 +48,9 @@ from handover_marl.policies.reference import parse_policy
 FOLDER = Path(__file__).resolve().parents[1] / "docs" / "results"
 DATA = FOLDER / "data"
 EPISODES, EVALUATIONS, TEST_USE = DATA / "episodes", DATA / "evaluations.json", DATA / "test_use.csv"
-HEADER = (
-    "receiver",
-    "setup",
-    "wait s",
-    "n episodes",
-    "success %",
-    "contact %",
-    "drop %",
-    "timeout %",
-    "exec s",
-    "plan s",
-    "total s",
-    "AS %",
-    "version",
-)
-OUTCOMES = ("success", "contact", "drop", "timeout")
+_TITLES = (column.title for column in (WAIT, N_EPISODES, *RATES, *TIMES, AVERAGE_SUCCESS))
+HEADER = ("receiver", "setup", *_TITLES, "version")
+OUTCOMES = tuple(column.key for column in RATES)
 POSE, POSES, POSES_AND_HAND = "true pose of the object", "true poses of all objects", "true poses of all objects, hand"
 #: Input of each receiver, and the marker of this kind of input in the figure.
 INPUTS = {
@@ -354,9 +346,8 @@ def format_success(evaluations: Iterable[Evaluation], receiver: str, setup: str,
     """Return the success rate of a receiver on a test split of DexYCB as text, with interval, episodes and version."""
     chosen = select_evaluations(evaluations, (receiver,))
     (one,) = [one for one in chosen if (one.receiver, one.setup, one.wait_s) == (receiver, setup, wait_s)]
-    low, high = compute_wilson_interval(one.success, one.episodes)
-    rate = f"{100 * one.success / one.episodes:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
-    return f"{rate} of {one.episodes} episodes with version {one.version}"
+    rate, interval = format_percent_rate(one.success, one.episodes).split(" ", 1)
+    return f"{rate} % {interval} of {one.episodes} episodes with version {one.version}"
 
 
 def make_failure_list(evaluations: Iterable[Evaluation], receiver: str) -> str:

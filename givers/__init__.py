@@ -12,15 +12,7 @@ from handover_marl.policies import registry
 from handover_marl.policies.policy import Action, Giver, Policy, PolicyContext, make_giver_action, make_policy_context
 from handover_marl.policies.reference import PolicyLike, parse_policy
 
-__all__ = [
-    "Action",
-    "Giver",
-    "PolicyContext",
-    "list_available",
-    "make",
-    "make_giver_action",
-    "make_policy_context",
-]
+__all__ = ["Action", "Giver", "PolicyContext", "list_available", "make", "make_giver_action", "make_policy_context"]
 
 
 def list_available() -> tuple[str, ...]:

@@ -54,17 +54,9 @@ def check_receiver(
 def check_giver(
     giver: PolicyLike, dataset: Dataset | None = None, scenes: Sequence[int] = _SCENES, steps: int = _STEPS
 ) -> None:
-    """Check that a giver meets the requirements of evaluations, see `check_receiver`; the receiver is `yang2021`.
+    """Check that a giver, as in `handover_marl.crossplay`, meets the requirements of evaluations, with `yang2021`.
 
-    Args:
-        giver: Giver, as in `handover_marl.crossplay`.
-        dataset: Dataset of the scenes; default: the synthetic dataset.
-        scenes: Scene numbers to simulate.
-        steps: Largest number of physics steps per scene.
-
-    Raises:
-        ConformanceError: The giver fails a requirement; see `check_receiver`.
-        HandoverError: The giver cannot be made, fails, or returns a malformed action.
+    Requirements, the other arguments and errors are those of `check_receiver`.
     """
     _check("giver", giver, dataset or open_dataset("synthetic"), scenes, steps)
 

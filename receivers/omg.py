@@ -74,12 +74,7 @@ class OmgReceiver(PhasedReceiver):
     #: Configuration of the planner unless another is given.
     default_config: ClassVar[PlannerConfig] = PlannerConfig()
 
-    def __init__(
-        self,
-        context: PolicyContext,
-        wait: float | None = None,
-        config: PlannerConfig | None = None,
-    ) -> None:
+    def __init__(self, context: PolicyContext, wait: float | None = None, config: PlannerConfig | None = None) -> None:
         super().__init__(context, wait)
         require_modules(f"receiver {self.name!r}", "planning", "igl", "trimesh")
         self.config = config or self.default_config

@@ -35,12 +35,7 @@ class HandoverBenchmark(StepBenchmark):
     render_backends = frozenset({"cpu"})
 
     def __init__(
-        self,
-        setup: str = "s0",
-        split: str = "test",
-        control_period: float = 0.1,
-        physics: str = "exact",
-        **config: Any,
+        self, setup: str = "s0", split: str = "test", control_period: float = 0.1, physics: str = "exact", **config: Any
     ) -> None:
         super().__init__()
         self._handover = handover_marl.parallel_env(

@@ -29,7 +29,7 @@ from handover_marl.learning.adapters.modules import dense_network_from_layers
 from handover_marl.learning.offers import (
     N_OFFER_FEATURES,
     OFFER_FEATURES,
-    compute_offer_features,
+    OfferFeatures,
     compute_offer_scores,
     draw_offers,
 )
@@ -99,7 +99,7 @@ class Offers(NamedTuple):
     """Offers of a giver in n episodes, and the outcomes of these episodes.
 
     Attributes:
-        features: Features (n, 36) of the offers.
+        features: Features (n, 48) of the offers.
         status: Bits (n,) of the `EpisodeStatus` at the end.
         steps: Numbers (n,) of physics steps of the episodes.
         receivers: Indices (n,) of the receivers.
@@ -126,7 +126,8 @@ class Collector:
         self.args, self.receiver = args, number % len(args.receivers)
         count, dataset = args.num_envs // args.workers, args.open_dataset()
         seed, *seeds = spawn_seeds(1 + count, args.seed, number, known)
-        self.rng, self.context = np.random.default_rng(seed), make_policy_context(dataset, setup=args.setup)
+        self.rng = np.random.default_rng(seed)
+        self.features = OfferFeatures(make_policy_context(dataset, setup=args.setup))
         self.envs = handover_marl.vector_env(
             count,
             "giver",
@@ -164,13 +165,13 @@ class Collector:
         )
 
     def _choose(self, network: DenseNetwork | None, vector: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the features (36,) of an offer, nan without known grasps, and the offer (7,)."""
+        """Return the features (48,) of an offer, nan without known grasps, and the offer (7,)."""
         count = 1 if network is None else int(self.rng.choice(self.args.candidates))
         # The first offer is the recorded pose, which one choice of many can only be if the network prefers it.
         offers = draw_offers(self.rng, count + 1, self.args.spread)[0 if count > 1 else 1 :]
         space: spaces.Space[Any] = giver_observation_space()
         observation = add_episode_axis(spaces.unflatten(space, vector))
-        features = compute_offer_features(observation, offers, self.context)
+        features = self.features(observation, offers)
         if features is None:
             return np.full(N_OFFER_FEATURES, np.nan, np.float32), offers[0]
         best = 0 if network is None else int(np.argmax(compute_offer_scores(network(features))))
@@ -178,7 +179,7 @@ class Collector:
 
 
 def fit(offers: Offers, args: Args, seed: int) -> DenseNetwork:
-    """Train a new network (36 to 2) that predicts success (logit) and time (share of the limit) of offers."""
+    """Train a new network (48 to 2) that predicts success (logit) and time (share of the limit) of offers."""
     torch.manual_seed(seed)
     inputs, size = torch.as_tensor(offers.features), offers.features.shape[1]
     mean, scale = inputs.mean(0), inputs.std(0).clamp(min=0.05)

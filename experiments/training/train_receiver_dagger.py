@@ -71,7 +71,7 @@ class Args(SetupArgs):
         change_weight: Weight of decisions in which the expert opens or closes the gripper, which are few; others have
             the weight 1.
         width: Width of the two hidden layers of the network.
-        updates: Number of gradient steps in each training of the network.
+        epochs: Number of times that each training of the network goes through the decisions.
         batch_size: Number of decisions per gradient step.
         learning_rate: Learning rate of AdamW at the start; it decays to zero.
         weight_decay: Weight decay of AdamW.
@@ -96,7 +96,7 @@ class Args(SetupArgs):
     latest_takeover: float = 6.0
     change_weight: float = 20.0
     width: int = 512
-    updates: int = 15_000
+    epochs: float = 26.0
     batch_size: int = 512
     learning_rate: float = 1e-3
     weight_decay: float = 0.01
@@ -224,10 +224,10 @@ def fit(decisions: Decisions, args: Args) -> DenseNetwork:
     inputs = ((inputs - mean) / scale).clamp(-5.0, 5.0)
     network = make_mlp(inputs.shape[1], targets.shape[1], args.width)
     optimizer = torch.optim.AdamW(network.parameters(), args.learning_rate, weight_decay=args.weight_decay)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, args.updates)
+    updates = max(1, round(args.epochs * len(inputs) / args.batch_size))
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, updates)
     weights = 1.0 + (args.change_weight - 1.0) * torch.as_tensor(decisions.is_change).double()
-    for _ in range(args.updates):
-        rows = torch.multinomial(weights, args.batch_size, replacement=True)
+    for rows in torch.multinomial(weights, updates * args.batch_size, replacement=True).split(args.batch_size):
         loss = nn.functional.smooth_l1_loss(network(inputs[rows]), targets[rows], beta=0.2)
         optimizer.zero_grad()
         loss.backward()

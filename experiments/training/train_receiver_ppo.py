@@ -29,12 +29,7 @@ from handover_marl.geometry.arrays import make_tensor_factory
 from handover_marl.learning.adapters.modules import dense_network_from_module
 from handover_marl.learning.policy_files import check_policy_path, read_policy, write_policy
 from handover_marl.learning.policy_spec import DenseNetwork, PolicySpec
-from handover_marl.learning.training.run_folder import (
-    describe_origin,
-    make_mlp,
-    print_validation,
-    spawn_seeds,
-)
+from handover_marl.learning.training.run_folder import describe_origin, make_mlp, print_validation, spawn_seeds
 from handover_marl.learning.training.scene_arguments import RlArgs, run_script
 from handover_marl.simulation.engines import CPU, THREADS, WARP, BatchBackend, check_backend
 
@@ -89,23 +84,23 @@ class ActorCritic(nn.Module):
     Args:
         n_inputs: Number of features.
         n_outputs: Number of outputs of the policy.
-        args: Arguments of the training.
+        stds: Initial standard deviations of the outputs.
+        width: Width of the hidden layers of a new network.
         initial: Network with which the policy starts, with two hidden tanh layers; None: a new one.
     """
 
-    def __init__(self, n_inputs: int, n_outputs: int, args: Args, initial: DenseNetwork | None = None) -> None:
+    def __init__(
+        self, n_inputs: int, n_outputs: int, stds: list[float], width: int, initial: DenseNetwork | None = None
+    ) -> None:
         super().__init__()
-        width = args.width if initial is None else len(initial.biases[0])
+        width = width if initial is None else len(initial.biases[0])
         self.actor, self.critic = make_mlp(n_inputs, n_outputs, width, 0.01), make_mlp(n_inputs, 1, width)
         self.normalization = None
         if initial is not None:
-            initial = initial.copy_to(make_tensor_factory(args.device))
             self.normalization = initial.normalization
             numbers = itertools.chain(*zip(initial.weights, initial.biases, strict=True))
             for parameter, values in zip(self.actor.parameters(), numbers, strict=True):
                 parameter.data.copy_(torch.as_tensor(values))
-        # Random closing succeeds now and then, so the gripper's output is explored more than the motion.
-        stds = [args.initial_std] * (n_outputs - 1) + [args.gripper_initial_std]
         self.log_std = nn.Parameter(torch.tensor(stds).log())
 
     def compute_distribution(self, features: torch.Tensor) -> Normal:
@@ -150,15 +145,9 @@ class Collector:
             features=args.features,
             schemes=args.actions,
             autoreset="same_step",
-            setup=args.setup,
-            split="train",
-            dataset=args.dataset,
-            data_dir=args.data_dir,
-            physics=args.physics,
-            control_period=args.control_period,
-            max_cycles=args.max_cycles,
             rewards=set_discount(args.rewards, args.discount),
             **where,
+            **args.env_options,
         )
         noise_seed, *seeds = spawn_seeds(1 + count, args.seed, number)
         self.generator = torch.Generator(args.device).manual_seed(noise_seed)
@@ -193,7 +182,7 @@ class Collector:
 
 
 def compute_advantages(
-    rewards: torch.Tensor, values: torch.Tensor, continues: torch.Tensor, last_values: torch.Tensor, args: Args
+    rewards: torch.Tensor, values: torch.Tensor, continues: torch.Tensor, last_values: torch.Tensor, args: RlArgs
 ) -> torch.Tensor:
     """Return generalized advantage estimates (k, n) of k steps of n environments (Schulman et al., ICLR 2016).
 
@@ -208,7 +197,7 @@ def compute_advantages(
 
 
 def update(
-    model: ActorCritic, optimizer: torch.optim.Optimizer, batch: Batch, args: Args, policy_weight: float = 1.0
+    model: ActorCritic, optimizer: torch.optim.Optimizer, batch: Batch, args: RlArgs, policy_weight: float = 1.0
 ) -> None:
     """Update both networks by PPO (Schulman et al., 2017) on a batch of decisions, in `args.epochs` passes.
 
@@ -217,7 +206,7 @@ def update(
     count = batch.advantages.numel()
     rows = Batch(*(part.reshape(count, *part.shape[2:]) for part in batch))
     for _ in range(args.epochs):
-        for numbers in torch.randperm(count).to(args.device).split(args.minibatch_size):
+        for numbers in torch.randperm(count).to(batch.features.device).split(args.minibatch_size):
             part = Batch(*(values[numbers] for values in rows))
             policy = model.compute_distribution(part.features)
             ratio = (policy.log_prob(part.actions).sum(-1) - part.log_probs).exp()
@@ -241,8 +230,11 @@ def train(args: Args, initial: DenseNetwork | None = None) -> ActorCritic:
     with ThreadPoolExecutor(args.workers) as pool:
         collectors = list(pool.map(lambda number: Collector(number, args), range(args.workers)))
         envs = collectors[0].envs
-        sizes = flatdim(envs.single_observation_space), envs.single_action_space.shape[0]
-        model = ActorCritic(*sizes, args, initial).to(args.device)
+        n_inputs, n_outputs = flatdim(envs.single_observation_space), envs.single_action_space.shape[0]
+        # Random closing succeeds now and then, so the gripper's output is explored more than the motion.
+        stds = [args.initial_std] * (n_outputs - 1) + [args.gripper_initial_std]
+        initial = initial and initial.copy_to(make_tensor_factory(args.device))
+        model = ActorCritic(n_inputs, n_outputs, stds, args.width, initial).to(args.device)
         optimizer = torch.optim.Adam(model.parameters(), args.learning_rate)
         decisions, first_step = 0, time.monotonic()
         while decisions < args.decisions and time.monotonic() - started < 60.0 * args.minutes:

@@ -132,10 +132,7 @@ def run_merge(folders: _Folders, out: Folder, tables: TableArguments = _TABLES) 
 
 
 def run_convert(
-    folder: Folder,
-    /,
-    to: Literal["minari", "lerobot"],
-    name: Annotated[str, tyro.conf.arg(metavar="NAME")],
+    folder: Folder, /, to: Literal["minari", "lerobot"], name: Annotated[str, tyro.conf.arg(metavar="NAME")]
 ) -> None:
     """Convert demonstrations to a data set of another library, in the folder of that library.
 

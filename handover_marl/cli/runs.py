@@ -47,9 +47,7 @@ def run_benchmark(
 
 
 def run_pair(
-    evaluation: PairArguments = _VAL_PAIR,
-    execution: ExecutionArguments = _EXECUTION,
-    tables: TableArguments = _TABLES,
+    evaluation: PairArguments = _VAL_PAIR, execution: ExecutionArguments = _EXECUTION, tables: TableArguments = _TABLES
 ) -> None:
     """Evaluate a giver with a receiver on a split and print the table."""
     from handover_marl.evaluation.benchmark import evaluate_pair

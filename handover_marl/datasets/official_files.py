@@ -17,10 +17,7 @@ from handover_marl.execution.reading import check_plain_file, read_plain_file, r
 from handover_marl.geometry.panda import PANDA, PANDA_CAMERA
 
 #: URDFs of the robot's variants, relative to `assets/`.
-PANDA_FILES = {
-    PANDA: "franka_panda/panda_gripper.urdf",
-    PANDA_CAMERA: "franka_panda/panda_gripper_hand_camera.urdf",
-}
+PANDA_FILES = {PANDA: "franka_panda/panda_gripper.urdf", PANDA_CAMERA: "franka_panda/panda_gripper_hand_camera.urdf"}
 #: Text among the first bytes of a stand-in file.
 STAND_IN: Final = "handover_marl stand-in"
 #: Numbers (from 1) of human hand links with a reduced collision mesh: roots of middle, little and ring finger.

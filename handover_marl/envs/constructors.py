@@ -44,11 +44,7 @@ def env(config: EnvConfig | None = None, **fields: Any) -> AECEnv:
 
 @forward_signature(EnvConfig)
 def single_agent_env(
-    agent: str,
-    partner: PolicyLike | None = None,
-    trust: bool = False,
-    config: EnvConfig | None = None,
-    **fields: Any,
+    agent: str, partner: PolicyLike | None = None, trust: bool = False, config: EnvConfig | None = None, **fields: Any
 ) -> SingleAgentEnv:
     """Make a Gymnasium environment of one agent, in which a fixed policy acts for the other agent.
 

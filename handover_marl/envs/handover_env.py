@@ -18,7 +18,7 @@ from handover_marl.envs.config import RENDER_MODES, EnvConfig, make_env_config
 from handover_marl.envs.custom_rewards import make_reward_source
 from handover_marl.envs.rewards import StepData
 from handover_marl.envs.transition import Transition, TransitionRecorder
-from handover_marl.episode.camera_observations import CameraCapture, resolve_cameras
+from handover_marl.episode.camera_observations import CameraCapture
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import EpisodeAgent, EpisodePolicy
 from handover_marl.episode.observations import (
@@ -278,7 +278,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
 
     def camera_info(self) -> dict[str, CameraInfo]:
         """Return size, intrinsics K (3, 3) and pose (4, 4) of each camera by name, the same in all episodes."""
-        return {camera.name: make_camera_info(camera) for camera in resolve_cameras(self.config.cameras)}
+        return {camera.name: make_camera_info(camera) for camera in self.config.sensors.cameras}
 
     def capture_wrist_camera(self) -> CameraCapture:
         """Return depth, segmentation, colours and point clouds of the wrist camera.

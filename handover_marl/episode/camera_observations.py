@@ -161,18 +161,18 @@ class SensorConfig:
         camera_model: Deprojection: "handoversim" repeats HandoverSim's shift by one pixel,
             "pinhole" is exact.
         camera_noise: Noise of the images: None (no noise), "realsense" or a `CameraNoise`.
-        cameras: Names or configurations of the cameras; configurations after initialization.
+        cameras: Configurations of the cameras; `resolve_cameras` makes them of names.
         randomization: Random deviations of the cameras, drawn in each episode; None for none.
 
     Raises:
-        UnknownNameError: There is no such renderer, camera model, camera noise or camera.
-        OptionError: The camera noise or a camera has a wrong type, or two cameras have the same name.
+        UnknownNameError: There is no such renderer, camera model or camera noise.
+        OptionError: The camera noise has a wrong type.
     """
 
     renderer: str = "auto"
     camera_model: str = HANDOVERSIM_MODEL
     camera_noise: str | CameraNoise | None = None
-    cameras: Iterable[str | CameraConfig] = WRIST_ONLY
+    cameras: tuple[CameraConfig, ...] = (CAMERAS["wrist"],)
     randomization: CameraRandomization | None = None
 
     def __post_init__(self) -> None:
@@ -180,7 +180,6 @@ class SensorConfig:
         check_name("camera_model", self.camera_model, CAMERA_MODELS)
         if self.camera_noise is not None:
             resolve_camera_noise(self.camera_noise)
-        object.__setattr__(self, "cameras", resolve_cameras(self.cameras))
         if self.randomization is not None:
             check_config("camera_randomization", self.randomization, CameraRandomization)
 
@@ -188,12 +187,6 @@ class SensorConfig:
     def noise(self) -> CameraNoise | None:
         """Noise model of the cameras; None for perfect images."""
         return resolve_camera_noise(self.camera_noise)
-
-    @property
-    def has_latency(self) -> bool:
-        """Whether images of a camera arrive late, so that the steps before an observation matter."""
-        is_late = self.randomization is not None and self.randomization.latency > 0.0
-        return is_late or self.noise is not None or any(camera.period for camera in resolve_cameras(self.cameras))
 
     def describe(self, obs_mode: str, physics: str) -> str:
         """Return a text on renderer (in this physics), camera model, noise and cameras for results.
@@ -248,8 +241,7 @@ class CameraSensor:
     """
 
     def __init__(self, config: SensorConfig, physics: str, physics_config: PhysicsConfig, name: str = "wrist") -> None:
-        cameras = {camera.name: camera for camera in resolve_cameras(config.cameras)}
-        check_name("camera", name, cameras)
+        cameras = {camera.name: camera for camera in config.cameras}
         self._camera_config = cameras[name]
         self._config, self._physics, self._physics_config = config, physics, physics_config
         self._camera, self._randomization = make_pinhole(self._camera_config), config.randomization

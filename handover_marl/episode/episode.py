@@ -21,12 +21,7 @@ from handover_marl.episode.camera_observations import (
     resolve_cameras,
 )
 from handover_marl.episode.giver_motion import NO_DEVIATION, PLANNED_STEPS, GiverMotion, requests_release
-from handover_marl.episode.observations import (
-    Observation,
-    observe,
-    observe_giver_motion,
-    select_receiver_observation,
-)
+from handover_marl.episode.observations import Observation, observe, observe_giver_motion, select_receiver_observation
 from handover_marl.episode.referee import EpisodeStatus, Referee, RefereeState, ReleaseReason, make_judge
 from handover_marl.episode.spaces import STATE, has_camera
 from handover_marl.errors import ResetNeededError, check_name
@@ -93,9 +88,8 @@ class SceneConfig:
         Raises:
             UnknownNameError, OptionError: Unknown camera model, noise or camera.
         """
-        return SensorConfig(
-            self.renderer, self.camera_model, self.camera_noise, self.cameras, self.camera_randomization
-        )
+        cameras = resolve_cameras(self.cameras)
+        return SensorConfig(self.renderer, self.camera_model, self.camera_noise, cameras, self.camera_randomization)
 
 
 class Episode:
@@ -119,9 +113,9 @@ class Episode:
         check_physics(physics)
         self.config = config
         self._physics, self._window = physics, window
-        self._sensor_config, self._camera_seed = sensors, 0
-        # By the names of the cameras; empty before the first use.
-        self._sensors: dict[str, CameraSensor] = {}
+        self._sensors = {
+            camera.name: CameraSensor(sensors, physics, config.physics, camera.name) for camera in sensors.cameras
+        }
         self._world: World | None = None
         self._scene: Scene | None = None
         self._motion = GiverMotion(1, config.giver)
@@ -151,9 +145,6 @@ class Episode:
         self._scene = scene
         for sensor in self._sensors.values():
             sensor.reset(scene, self._world)
-        if self._sensor_config.has_latency:
-            # Cameras record every step.
-            self._get_sensors()
 
     def advance(
         self,
@@ -256,7 +247,6 @@ class Episode:
 
     def seed_camera(self, seed: int) -> None:
         """Seed the random draws of the cameras (noise and subsampling of point clouds)."""
-        self._camera_seed = seed
         for sensor in self._sensors.values():
             sensor.seed(seed)
 
@@ -266,8 +256,8 @@ class Episode:
         Raises:
             UnknownNameError: There is no camera of the name "wrist".
         """
-        check_name("camera", "wrist", self._get_sensors())
-        return self._get_sensors()["wrist"].capture(self.world, self.steps)
+        check_name("camera", "wrist", self._sensors)
+        return self._sensors["wrist"].capture(self.world, self.steps)
 
     def observe_camera(self, obs_mode: str) -> Observation:
         """Return the camera data of an observation mode by key, as `camera_observation_space` lists them.
@@ -279,7 +269,7 @@ class Episode:
         if not has_camera(obs_mode):
             return {}
         found: Observation = {}
-        for sensor in self._get_sensors().values():
+        for sensor in self._sensors.values():
             found |= sensor.observe(obs_mode, self.world, self.steps)
         return found
 
@@ -338,14 +328,3 @@ class Episode:
         if self._world is not None:
             self._world.close()
         self._world = self._scene = None
-
-    def _get_sensors(self) -> dict[str, CameraSensor]:
-        """Return the cameras by name, which are created at their first use in an episode."""
-        world, scene, config = self.world, self.scene, self._sensor_config
-        if not self._sensors:
-            names = [camera.name for camera in resolve_cameras(config.cameras)]
-            self._sensors = {name: CameraSensor(config, self._physics, self.config.physics, name) for name in names}
-            for sensor in self._sensors.values():
-                sensor.reset(scene, world)
-                sensor.seed(self._camera_seed)
-        return self._sensors

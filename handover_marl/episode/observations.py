@@ -72,9 +72,7 @@ def state_space(largest_class: int = LARGEST_YCB_CLASS) -> spaces.Dict:
 
 
 def receiver_observation_space(
-    obs_mode: str = STATE,
-    largest_class: int = LARGEST_YCB_CLASS,
-    cameras: Iterable[str | CameraConfig] = WRIST_ONLY,
+    obs_mode: str = STATE, largest_class: int = LARGEST_YCB_CLASS, cameras: Iterable[str | CameraConfig] = WRIST_ONLY
 ) -> spaces.Dict:
     """Return the receiver's observation space.
 

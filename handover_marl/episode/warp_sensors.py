@@ -8,7 +8,6 @@ from handover_marl.episode.camera_observations import (
     SensorConfig,
     camera_observation_space,
     count_clouds,
-    resolve_cameras,
 )
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import IMAGES, SCENE_POINTCLOUD, parse_obs_mode
@@ -41,7 +40,7 @@ class WarpSensors:
         from handover_marl.simulation.camera.warp_camera import WarpCamera
 
         self._parts, self._n_clouds = parse_obs_mode(obs_mode), count_clouds(obs_mode)
-        self._model, self._arrays, self._cameras = sensors.camera_model, arrays, resolve_cameras(sensors.cameras)
+        self._model, self._arrays, self._cameras = sensors.camera_model, arrays, sensors.cameras
         # Shape and number type of each value.
         space = camera_observation_space(obs_mode, self._cameras)
         self._formats = {key: (own.shape or (), str(own.dtype)) for key, own in space.items()}

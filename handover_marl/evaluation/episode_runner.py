@@ -125,10 +125,7 @@ class EpisodeRunner:
 
 
 def run_episodes(
-    config: EvaluationConfig,
-    tasks: Sequence[SceneTask],
-    pool: AnyPool,
-    writers: tuple[EpisodeWriter, ...] = (),
+    config: EvaluationConfig, tasks: Sequence[SceneTask], pool: AnyPool, writers: tuple[EpisodeWriter, ...] = ()
 ) -> Generator[tuple[int, FinishedEpisode], None, None]:
     """Simulate scenes in workers; yield each episode as soon as it is finished.
 

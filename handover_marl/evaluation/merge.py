@@ -11,11 +11,7 @@ from handover_marl.errors import OptionError, ResultsError
 from handover_marl.evaluation.comparison import AGREEMENT_FILE, Agreement
 from handover_marl.evaluation.crossplay import CROSSPLAY_CSV, CrossPlay, format_pair_folder
 from handover_marl.evaluation.demonstrations.demonstration import Demonstrations
-from handover_marl.evaluation.metadata import (
-    ResultMetadata,
-    format_merged_config,
-    read_result_metadata,
-)
+from handover_marl.evaluation.metadata import ResultMetadata, format_merged_config, read_result_metadata
 from handover_marl.evaluation.reports.report import Report, evaluate, write_report
 from handover_marl.evaluation.results import (
     DEMONSTRATIONS,

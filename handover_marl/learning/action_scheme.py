@@ -86,11 +86,7 @@ class ArrayScheme(ABC):
     wait: float = 0.0
 
     def __init__(
-        self,
-        context: PolicyContext,
-        selector: LowestCostGraspSelector,
-        count: int,
-        arrays: ArrayFactory = NUMPY_ARRAYS,
+        self, context: PolicyContext, selector: LowestCostGraspSelector, count: int, arrays: ArrayFactory = NUMPY_ARRAYS
     ) -> None:
         self._selector, self._arrays = selector, arrays
         self._outputs = arrays.zeros((count, self.size))

@@ -16,9 +16,9 @@ from handover_marl.learning.grasp_selector import LowestCostGraspSelector
 from handover_marl.learning.offers import (
     N_OFFER_FEATURES,
     OFFER_FEATURES,
+    OfferFeatures,
     Vectors,
     compute_added_reaches,
-    compute_offer_features,
     compute_offer_scores,
     draw_offers,
 )
@@ -80,6 +80,7 @@ class AdaptiveGiver(ArrayGiver):
                 f"features {spec.features!r}"
             )
         super().__init__(context, **options)
+        self._features = OfferFeatures(context)
 
     @property
     def weights_hash(self) -> str:
@@ -110,7 +111,7 @@ class AdaptiveGiver(ArrayGiver):
     def _choose(self, rng: np.random.Generator, observation: Observation) -> Vectors:
         """Return the best (7,) of many random offers in the episode of an observation (1, ...)."""
         offers = draw_offers(rng, self.config.offers, self.config.spread)
-        features, number = compute_offer_features(observation, offers, self.context), 0
+        features, number = self._features(observation, offers), 0
         if features is not None:
             costs = self.config.reach_cost * compute_added_reaches(observation, offers)
             number = int(np.argmax(compute_offer_scores(self._network(features)) - costs))

@@ -55,11 +55,7 @@ class ArrayFeatures(ABC):
     uses_camera = False
 
     def __init__(
-        self,
-        context: PolicyContext,
-        selector: LowestCostGraspSelector,
-        count: int,
-        arrays: ArrayFactory = NUMPY_ARRAYS,
+        self, context: PolicyContext, selector: LowestCostGraspSelector, count: int, arrays: ArrayFactory = NUMPY_ARRAYS
     ) -> None:
         self._selector, self._arrays = selector, arrays
         self._goal = arrays.asarray(context.protocol.goal_center)

@@ -14,15 +14,15 @@ from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import AnyArray, get_namespace, widen
 from handover_marl.geometry.panda import HALF_TURN
 from handover_marl.geometry.poses import compose, inverse_transform_points, invert_pose
-from handover_marl.geometry.rotations import (
-    matrices_from_quaternions,
-    multiply_quaternions,
-    quaternions_from_rotation_vectors,
-    rotate_points,
-)
-from handover_marl.learning.array_features import compute_handover_frames, rotate_to_frame, rotate_to_world
+from handover_marl.geometry.rotations import multiply_quaternions, quaternions_from_rotation_vectors
+from handover_marl.learning.array_features import compute_handover_frames, rotate_to_world
 from handover_marl.learning.giver_schemes import HandoverPoseScheme
-from handover_marl.learning.grasp_selector import MAX_CLEARANCE, LowestCostGraspSelector, compute_motion_costs
+from handover_marl.learning.grasp_costs import (
+    MAX_REACH_DISTANCE,
+    GraspCosts,
+    compute_motion_costs,
+    load_validated_grasps,
+)
 from handover_marl.policies.policy import PolicyContext
 from handover_marl.receivers.grasp_library import load_hand_poses
 
@@ -30,12 +30,9 @@ Array = npt.NDArray[np.float64]
 Vectors = npt.NDArray[np.float32]
 
 #: Name of the features in policy files, and the number of features of an offer.
-OFFER_FEATURES, N_OFFER_FEATURES = "offer", 36
-# Numbers of grasps of lowest cost over which the clearance to the person's hand is averaged.
-_NUMBERS_OF_GRASPS = (1, 4, 16, 64)
-# Extent of the gripper along the hand link's z axis, from behind its palm to the fingertips (m); desired distance of
-# the joints of the person's hand from this line (m), and weight of the amount by which the distance is below it.
-_BACK_Z, _TIP_Z, _DESIRED_CLEARANCE, _CLEARANCE_WEIGHT = -0.05, 0.11, 0.09, 4.0
+OFFER_FEATURES, N_OFFER_FEATURES = "offer_grasps", 48
+# Numbers of nearest grasps over which clearances are averaged, and number of best grasps whose reach is computed.
+_NUMBERS_OF_GRASPS, _N_BEST = (1, 4, 16, 64), 4
 
 
 def draw_offers(rng: np.random.Generator, count: int, spread: float) -> Vectors:
@@ -79,45 +76,77 @@ def compute_added_reaches(observation: Observation, offers: Vectors) -> Array:
     return added
 
 
-def compute_offer_features(observation: Observation, offers: Vectors, context: PolicyContext) -> Vectors | None:
-    """Return the features (k, 36) of k offers in one episode; None if no grasp of the object is known.
+class OfferFeatures:
+    """Features of the offers of one giver.
 
     | features | meaning |
     |---|---|
-    | 0-3 | clearance of the person's hand to the gripper, mean over the 1, 4, 16 and 64 nearest grasps (m, times 10) |
-    | 4 | cost of the gripper's motion to the nearest grasp (m), see `LowestCostGraspSelector` |
-    | 5-7 | grasp of lowest cost, if a small clearance has a cost, too: cost (m), clearance (m, times 10), motion (m) |
-    | 8-16 | hand link at the nearest grasp: position in the world (m); y and z axes in the handover frame |
-    | 17-25 | the same at the grasp of lowest cost |
-    | 26-28 | position of the recorded handover in the world (m) |
-    | 29-35 | the offer |
+    | 0-18 | the known grasps of the object, see below |
+    | 19-37 | the validated grasps of the receiver `reactive`, which include tilted copies of the known ones |
+    | 38-40 | position of the recorded handover in the world (m) |
+    | 41-47 | the offer |
+
+    The nearest grasps are those to which the gripper's motion has the lowest cost; the best ones have the lowest cost
+    of motion, hold and clearance, see `GraspCosts`. Features of a set of grasps:
+
+    | features | meaning |
+    |---|---|
+    | 0-3 | clearance of the person's hand, mean over the 1, 4, 16 and 64 nearest grasps (m, times 10) |
+    | 4-7 | share of these grasps whose clearance is at least `GraspCosts.min_clearance` |
+    | 8 | cost of the motion to the nearest grasp (m) |
+    | 9-12 | best grasp: cost (m), clearance (m, times 10), cost of the motion (m), cost of the hold (s) |
+    | 13-18 | distance from a reachable pose (m, times 10): nearest grasp, the four best grasps, least of these five |
 
     Args:
-        observation: Arrays (1, ...) of the giver's observation.
-        offers: Offers (k, 7), outputs of `HandoverPoseScheme`.
-        context: Known grasps of the objects.
+        context: Robot, and known grasps of the objects.
     """
-    grasps = _load_known_grasps(context, int(observation["object_classes"][0, 0]))
-    if grasps is None:
-        return None
-    joints = inverse_transform_points(observation["object_poses"][:, :1], observation["hand_keypoints"])
-    clearances = _compute_clearances(grasps, joints[0])
-    origins, frames = compute_handover_frames(observation)
-    objects = compute_offered_poses(observation, offers)
-    weight = LowestCostGraspSelector.rotation_weight
-    motions = compute_motion_costs(grasps[None], compose(invert_pose(objects), observation["gripper_pose"]), weight)
-    costs = motions + _CLEARANCE_WEIGHT * (_DESIRED_CLEARANCE - clearances).clip(0.0)
-    order, best, row = np.argsort(motions, axis=1, kind="stable"), np.argmin(costs, axis=1), np.arange(len(offers))
-    means = [clearances[order[:, :number]].mean(axis=1) for number in _NUMBERS_OF_GRASPS]
-    numbers = [*(10.0 * mean for mean in means), motions[row, order[:, 0]]]
-    numbers += [costs[row, best], 10.0 * clearances[best], motions[row, best]]
-    parts = [np.stack(numbers, axis=1)]
-    for chosen in (order[:, 0], best):
-        hands = compose(objects, grasps[chosen])
-        columns = rotate_to_frame(frames, matrices_from_quaternions(hands[:, 3:]).swapaxes(1, 2))
-        parts += [hands[:, :3], columns[:, 1], columns[:, 2]]
-    parts += [np.broadcast_to(origins, (len(offers), 3)), offers]
-    return np.concatenate(parts, axis=1).astype(np.float32)
+
+    def __init__(self, context: PolicyContext) -> None:
+        self._context, self._costs = context, GraspCosts(context)
+
+    def __call__(self, observation: Observation, offers: Vectors) -> Vectors | None:
+        """Return the features (k, 48) of k offers in one episode; None if no grasp of the object is known.
+
+        Args:
+            observation: Arrays (1, ...) of the giver's observation.
+            offers: Offers (k, 7), outputs of `HandoverPoseScheme`.
+        """
+        object_class = int(observation["object_classes"][0, 0])
+        sets = [load(self._context, object_class) for load in (_load_known_grasps, load_validated_grasps)]
+        objects, parts, hands = compute_offered_poses(observation, offers), [], []
+        for grasps in sets:
+            if grasps is None:
+                return None
+            numbers, chosen = self._compute_set(observation, objects, *grasps)
+            parts.append(numbers)
+            hands.append(compose(objects[:, None], chosen))
+        robots = np.repeat(observation["robot_joint_position"], len(offers), axis=0)
+        distances = self._costs.compute_reach_distances(np.concatenate(hands, axis=1), robots)
+        for place, reaches in enumerate(np.split(10.0 * distances.clip(None, MAX_REACH_DISTANCE), len(sets), axis=1)):
+            parts.insert(2 * place + 1, np.concatenate([reaches, reaches.min(axis=1, keepdims=True)], axis=1))
+        origins, _ = compute_handover_frames(observation)
+        parts += [np.broadcast_to(origins, (len(offers), 3)), widen(offers)]
+        return np.concatenate(parts, axis=1).astype(np.float32)
+
+    def _compute_set(
+        self, observation: Observation, objects: Array, grasps: Array, hold_costs: Array
+    ) -> tuple[Array, Array]:
+        """Return features 0-12 of grasps (g, 7), (k, 13), and the nearest and the best grasps, (k, 5, 7).
+
+        World poses (k, 7) are those of the offered object, costs (g,) are in seconds.
+        """
+        joints = inverse_transform_points(observation["object_poses"][:, :1], observation["hand_keypoints"])
+        clearances = self._costs.compute_clearances(grasps[None], joints)[0]
+        motions = compute_motion_costs(grasps[None], compose(invert_pose(objects), observation["gripper_pose"]))
+        costs = motions + GraspCosts.hold_weight * hold_costs + self._costs.compute_clearance_costs(clearances)
+        nearest, order = (np.argsort(values, axis=1, kind="stable") for values in (motions, costs))
+        free, rows = clearances >= GraspCosts.min_clearance, np.arange(len(objects))
+        first, best = nearest[:, 0], order[:, 0]
+        numbers = [10.0 * clearances[nearest[:, :number]].mean(axis=1) for number in _NUMBERS_OF_GRASPS]
+        numbers += [free[nearest[:, :number]].mean(axis=1) for number in _NUMBERS_OF_GRASPS]
+        numbers += [motions[rows, first], costs[rows, best], 10.0 * clearances[best], motions[rows, best]]
+        chosen = grasps[np.concatenate([first[:, None], order[:, :_N_BEST]], axis=1)]
+        return np.stack([*numbers, hold_costs[best]], axis=1), chosen
 
 
 def compute_offer_scores(outputs: AnyArray) -> AnyArray:
@@ -130,19 +159,11 @@ def compute_offer_scores(outputs: AnyArray) -> AnyArray:
     return (1.0 - outputs[:, 1].clip(0.0, 1.0)) / (1.0 + xp.exp(-outputs[:, 0]))
 
 
-def _compute_clearances(grasps: Array, joints: AnyArray) -> Array:
-    """Return the distances (k,) in m of joints (16, 3) of a hand from the gripper's axis at k grasps (k, 7)."""
-    axes = rotate_points(grasps[:, 3:], np.array([0.0, 0.0, 1.0]))
-    x, y, z = (joints[None, :, axis] - grasps[:, None, axis] for axis in range(3))
-    u, v, w = (axes[:, None, axis] for axis in range(3))
-    along = (x * u + y * v + z * w).clip(_BACK_Z, _TIP_Z)
-    x, y, z = x - along * u, y - along * v, z - along * w
-    clearances: Array = np.sqrt(np.min(x * x + y * y + z * z, axis=-1)).clip(None, MAX_CLEARANCE)
-    return clearances
-
-
 @functools.lru_cache(maxsize=1024)
-def _load_known_grasps(context: PolicyContext, object_class: int) -> Array | None:
-    """Return poses (n, 7) of the hand link at a class's known grasps and their half turns, in its frame; cached."""
+def _load_known_grasps(context: PolicyContext, object_class: int) -> tuple[Array, Array] | None:
+    """Return poses (n, 7) of the hand link at a class's known grasps and half turns in its frame, and costs 0 (n,)."""
     poses = load_hand_poses(context.grasps, context.object_names[object_class])
-    return None if poses is None else np.concatenate([poses, compose(poses, np.array(HALF_TURN))])
+    if poses is None:
+        return None
+    poses = np.concatenate([poses, compose(poses, np.array(HALF_TURN))])
+    return poses, np.zeros(len(poses))

@@ -262,12 +262,7 @@ class GoalSelector:
     """
 
     def __init__(
-        self,
-        cost: ObstacleCost,
-        goals: Array,
-        goal_costs: Array,
-        n_waypoints: int,
-        unchecked_last: bool,
+        self, cost: ObstacleCost, goals: Array, goal_costs: Array, n_waypoints: int, unchecked_last: bool
     ) -> None:
         self._cost, self._goals, self._goal_costs = cost, goals, goal_costs
         self._n_waypoints, self._unchecked_last = n_waypoints, unchecked_last

@@ -115,11 +115,7 @@ def compute_pose_error(origins: Array, hand_rotations: Array, positions: Array, 
     """
     difference = np.einsum("nij,kjn->ikn", rotations, hand_rotations)
     twice_sine = np.stack(
-        [
-            difference[2, 1] - difference[1, 2],
-            difference[0, 2] - difference[2, 0],
-            difference[1, 0] - difference[0, 1],
-        ]
+        [difference[2, 1] - difference[1, 2], difference[0, 2] - difference[2, 0], difference[1, 0] - difference[0, 1]]
     )
     sine = 0.5 * np.sqrt((twice_sine**2).sum(axis=0))
     cosine = 0.5 * (difference[0, 0] + difference[1, 1] + difference[2, 2] - 1.0)

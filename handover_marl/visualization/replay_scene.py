@@ -148,10 +148,7 @@ def build_color_legend(log: ReplayRecorder) -> list[tuple[str, str]]:
     ]
     if len(log.scene.assets.objects) > 1:
         legend.append((LABEL_COLORS[SegmentationLabel.OTHER_OBJECT], "other objects"))
-    legend += [
-        (f"rgb{_FINGER_CONTACT_COLOR}", "contacts of fingers and object"),
-        (f"rgb{_GOAL_COLOR}", "goal region"),
-    ]
+    legend += [(f"rgb{_FINGER_CONTACT_COLOR}", "contacts of fingers and object"), (f"rgb{_GOAL_COLOR}", "goal region")]
     if any(frame.touches_hand for frame in log.frames):
         legend.append((f"rgb{_HAND_CONTACT_COLOR}", "hand that the robot touches"))
     if any(frame.planned_path is not None for frame in log.frames):

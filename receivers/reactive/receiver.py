@@ -59,10 +59,7 @@ class ReactiveReceiver(ControllerReceiver):
         """Start an episode; the receiver is deterministic."""
         self._object_name = ""
         self._scene = PoseSceneEstimate(
-            self.arm,
-            self.config,
-            lambda name: load_obstacle(self.context, name),
-            self.context.object_names,
+            self.arm, self.config, lambda name: load_obstacle(self.context, name), self.context.object_names
         )
         self.start_episode(self._scene)
 

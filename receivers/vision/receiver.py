@@ -123,11 +123,7 @@ def make_vision_reactive_config() -> ReactiveConfig:
         config,
         near_period=0.05,
         selection=replace(
-            config.selection,
-            clearance_cost=10.0,
-            min_clearance=0.0,
-            hard_min_clearance=0.0,
-            offset_delay=_NEVER,
+            config.selection, clearance_cost=10.0, min_clearance=0.0, hard_min_clearance=0.0, offset_delay=_NEVER
         ),
         approach=replace(config.approach, max_object_speed=0.08, max_held_still_speed=0.15, close_period=0.05),
     )

@@ -185,7 +185,7 @@ def test_a_wrong_command_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
         "handover-marl benchmark --recever hold",
         "handover-marl benchmark --receiver nobody",
         "handover-marl crossplay --givers nobody --receivers hold",
-        "python experiments/rank_correlation.py --scenes 37",
+        "python experiments/make_results.py --scenes 37",
         "make everything",
         "pip install -e .[nothing]",
     ):

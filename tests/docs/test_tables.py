@@ -172,10 +172,7 @@ def sample_crossplay() -> CrossPlay:
 
 @pytest.mark.parametrize(
     ("mark", "group", "columns"),
-    [
-        ("official metrics", "", OFFICIAL_COLUMNS),
-        ("fluency metrics", "fluency.", tables.FLUENCY),
-    ],
+    [("official metrics", "", OFFICIAL_COLUMNS), ("fluency metrics", "fluency.", tables.FLUENCY)],
 )
 def test_metrics_have_one_name(mark: str, group: str, columns: tuple[Column, ...]) -> None:
     """The page names the title in tables, the key in JSON and the key in CSV of every metric as the code does."""

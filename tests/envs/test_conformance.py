@@ -13,7 +13,7 @@ import handover_marl
 from handover_marl import encode, flatten, freeze
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.wrappers.wrapper import EpisodeReturns, SingleAgentEnv
-from tests.envs.test_foreign_wrappers import Cost
+from tests.envs.test_wrappers import Cost
 from tests.helpers.equality import assert_equal
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::UserWarning")]

@@ -10,12 +10,7 @@ import pytest
 
 import handover_marl
 from handover_marl.config import PandaConfig
-from handover_marl.envs.custom_rewards import (
-    combine_rewards,
-    declare_terms,
-    resolve_rewards,
-    set_discount,
-)
+from handover_marl.envs.custom_rewards import combine_rewards, declare_terms, resolve_rewards, set_discount
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.rewards import SHAPED, SPARSE, TERMS, TermWeights
 from handover_marl.envs.transition import Transition

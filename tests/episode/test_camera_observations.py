@@ -18,14 +18,7 @@ from handover_marl.episode.camera_observations import (
     camera_observation_space,
 )
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.spaces import (
-    FULL_POINTCLOUD,
-    OBS_PARTS,
-    POINTCLOUD,
-    RGBD,
-    SCENE_POINTCLOUD,
-    STATE,
-)
+from handover_marl.episode.spaces import FULL_POINTCLOUD, OBS_PARTS, POINTCLOUD, RGBD, SCENE_POINTCLOUD, STATE
 from handover_marl.geometry.poses import transform_points
 from handover_marl.simulation.camera.images import CameraImage, SegmentationLabel
 from handover_marl.simulation.camera.noise import CameraNoise

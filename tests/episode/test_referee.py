@@ -265,13 +265,7 @@ def without_final_count(last: int, state: RefereeState) -> tuple[int, RefereeSta
 
 @pytest.mark.parametrize(
     ("is_device", "chunk"),
-    [
-        (False, 1),
-        (False, 2),
-        (False, 5),
-        (False, 60),
-        pytest.param(True, 5, marks=pytest.mark.slow),
-    ],
+    [(False, 1), (False, 2), (False, 5), (False, 60), pytest.param(True, 5, marks=pytest.mark.slow)],
 )
 @settings(max_examples=12)
 @example(

@@ -21,14 +21,7 @@ Outcomes = dict[str, list[Any]]
 def outcomes(physics: str) -> Outcomes:
     """Simulate the scenes in a physics; return status, steps and release step of each, by its number."""
     report = handover_marl.benchmark(
-        "s0",
-        "val",
-        "yang2021",
-        scenes=SCENES[physics],
-        dataset="synthetic",
-        physics=physics,
-        workers=1,
-        progress=False,
+        "s0", "val", "yang2021", scenes=SCENES[physics], dataset="synthetic", physics=physics, workers=1, progress=False
     )
     return {
         str(episode.scene_id): [episode.status.label, episode.steps, episode.release_step]

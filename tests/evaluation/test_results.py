@@ -203,10 +203,7 @@ def test_a_folder_stores_its_rules(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("env", "robot", "obs_mode"),
-    [
-        ({"ID": "HandoverHandCameraPointStateEnv-v1"}, "panda_camera", "state+pointcloud"),
-        ({}, "panda", "state"),
-    ],
+    [({"ID": "HandoverHandCameraPointStateEnv-v1"}, "panda_camera", "state+pointcloud"), ({}, "panda", "state")],
 )
 def test_robot_of_folders_of_the_original_code(tmp_path: Path, env: dict[str, str], robot: str, obs_mode: str) -> None:
     content = {"BENCHMARK": {"SETUP": "s0", "SPLIT": "test"}, "ENV": env}

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from handover_marl.datasets.dexycb import stand_ins
 from handover_marl.datasets.dexycb.stand_ins import find_plain_files, open_folder
 from handover_marl.errors import DataFormatError, DataNotFoundError, UnsafeFileError
 
@@ -54,6 +55,13 @@ def test_files_are_read_from_folders_and_archives(tmp_path: Path) -> None:
     (source / "assets/more").symlink_to("/etc")
     os.mkfifo(source / "assets/pipe.obj")
     assert contents(source) == CONTENT, "links are ignored"
+
+
+def test_archives_that_unpack_to_too_much_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stand_ins, "MAX_UNPACKED_BYTES", sum(map(len, CONTENT.values())) - 1)
+    for source in (tar(tmp_path / "a.tar.gz", "w:gz"), zipped(tmp_path / "a.zip")):
+        with pytest.raises(DataFormatError, match="unpacks to more than"):
+            contents(source)
 
 
 def link(name: str, kind: bytes, target: str) -> tarfile.TarInfo:

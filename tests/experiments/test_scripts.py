@@ -1,12 +1,10 @@
 """Tests of scripts that measure or search, and of examples for copying at a small size."""
 
 import itertools
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from experiments import rank_correlation
 from experiments.measure_headroom import compute_best_of
 from experiments.strangers.search_best_responses import SEARCH_SPACE, draw_policy, format_results
 from handover_marl.datasets.synthetic import SyntheticDataset
@@ -42,14 +40,6 @@ def test_best_of_k_is_the_mean_over_all_choices_of_the_draws(k: int) -> None:
     np.testing.assert_allclose(compute_best_of(successes, k), np.mean(choices, axis=0), atol=1e-12)
 
 
-def test_published_rates_are_correlated_with_a_study(tmp_path: Path) -> None:
-    study = tmp_path / "study.csv"
-    study.write_text("OMG Planner,80\nYang et al.,70\nGA-DDPG hold,60\nsomething else,1\n")
-    text = rank_correlation.main(rank_correlation.Args(str(study)))
-    assert "Spearman +0.50, Kendall +0.33, 3 receivers. By chance as good or better: 50.0 % of all orders" in text
-    assert "64.58" in text
-
-
 @pytest.mark.slow
 def test_own_receiver(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     shorten_episodes(monkeypatch, 2500)
@@ -57,10 +47,3 @@ def test_own_receiver(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFix
     found = example.main(example.Args(dataset="synthetic", scenes=scenes, workers=1))
     assert [episode.scene_id for episode in found.episodes] == list(scenes)
     assert "success" in capsys.readouterr().out
-
-
-def test_pettingzoo_two_learners(monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("torch", reason="needs the extra `train`")
-    example = script("pettingzoo_two_learners", monkeypatch)
-    learners = example.main(example.Args(dataset="synthetic", episodes=1, batch=1, max_cycles=3))
-    assert set(learners) == {"giver", "receiver"}

@@ -152,11 +152,7 @@ def _hand_urdf() -> str:
                 parts.append(_link(f"link{index}", 0.02 if axis == 2 else 0.0, shape))
                 parts.append(
                     _joint(
-                        index,
-                        "revolute",
-                        _AXES[axis],
-                        origin if axis == 0 else "0 0 0",
-                        parent if axis == 0 else None,
+                        index, "revolute", _AXES[axis], origin if axis == 0 else "0 0 0", parent if axis == 0 else None
                     )
                 )
                 index += 1

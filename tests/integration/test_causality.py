@@ -1,4 +1,4 @@
-"""Tests of causality: actions and observations do not depend on future motion of the recording."""
+"""Tests that actions and observations depend neither on future motion nor on the number or name of a scene."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -9,19 +9,22 @@ import numpy.typing as npt
 import pytest
 
 from handover_marl import givers, receivers
-from handover_marl.config import OFFICIAL_CONFIG
+from handover_marl.config import OFFICIAL_CONFIG, WorldConfig
 from handover_marl.datasets import open_dataset
 from handover_marl.datasets.dataset import Dataset, Scene
+from handover_marl.episode import camera_observations
 from handover_marl.episode.camera_observations import SensorConfig
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.giver_motion import NO_DEVIATION
-from handover_marl.episode.loop import run_episode
+from handover_marl.episode.loop import derive_robot_seed, run_episode
 from handover_marl.episode.observations import Observation
+from handover_marl.episode.spaces import OBS_PARTS
 from handover_marl.geometry.panda import PANDA, PANDA_CAMERA
 from handover_marl.policies.policy import Giver, Policy, make_policy_context
 from handover_marl.policies.registry import list_available
 from handover_marl.receivers.reactive.config import ReactiveConfig
 from handover_marl.receivers.reactive.receiver import ReactiveReceiver
+from tests.episode.test_camera_observations import GOAL, STEPS
 from tests.helpers.equality import assert_equal
 from tests.receivers.quick import QUICK_PREPARATION
 
@@ -127,10 +130,7 @@ def change_motion(scene: Scene, step: int, change: Callable[[Motion, int], Motio
     """Return the scene with changed motion after a step; the hand is absent from 0.5 s after the step on."""
     hand_last = scene.hand_last if scene.hand_last is None else min(scene.hand_last, step + 500)
     return replace(
-        scene,
-        object_dof=change(scene.object_dof, step),
-        hand_dof=change(scene.hand_dof, step),
-        hand_last=hand_last,
+        scene, object_dof=change(scene.object_dof, step), hand_dof=change(scene.hand_dof, step), hand_last=hand_last
     )
 
 
@@ -211,4 +211,53 @@ def test_givers_see_no_further_ahead_than_their_preview(policy: str | type[Giver
         episode.reset(change_motion(scene, frame, change))
         run_episode(episode, receiver, giver, until=decision + later + 1)
         assert_same_until(decision, giver, events)
+    episode.close()
+
+
+DATA = open_dataset("synthetic", robot=PANDA_CAMERA)
+NOISY_START = WorldConfig(initial_joint_noise=0.02)
+#: More than 1,024 pixels show the object after `STEPS` steps towards `GOAL`.
+NUMBERED = DATA.load_scene(9)
+RENDERERS = ("bullet", "rays")
+#: Receivers that use random numbers or images.
+CASES = [reference for reference in RECEIVERS if reference.startswith(("random", "population", "gaddpg", "vision"))]
+
+
+def rename(scene: Scene, scene_id: int) -> Scene:
+    """Return a copy of the scene with another number, name and subject."""
+    return replace(scene, info=replace(scene.info, scene_id=scene_id, name=f"x/{scene_id}"))
+
+
+def start(episode: Episode, scene: Scene, receiver: Policy, end: int) -> None:
+    """Let a receiver act in a scene after the robot has moved towards the object."""
+    episode.reset(scene, derive_robot_seed(3, scene))
+    episode.advance(GOAL, STEPS)
+    run_episode(episode, receiver, seed=3, until=STEPS + end)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("reference", CASES, ids=lambda value: value.partition(":")[0])
+def test_receivers_do_not_depend_on_the_scene_number(monkeypatch: pytest.MonkeyPatch, reference: str) -> None:
+    # Few points, so that all clouds are subsampled.
+    monkeypatch.setattr(camera_observations, "N_POINTS", 512)
+    receiver = Recorder(make_receiver(reference, DATA))
+    episode = Episode("fast", NOISY_START, sensors=SensorConfig("rays"))
+    start(episode, NUMBERED, receiver, 300)
+    events = receiver.events
+    start(episode, rename(NUMBERED, 777), receiver, 300)
+    assert events
+    assert_same_until(STEPS + 300, receiver, events)
+    episode.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", [None, "realsense"])
+@pytest.mark.parametrize("renderer", RENDERERS)
+def test_observations_do_not_depend_on_the_scene_number(renderer: str, noise: str | None) -> None:
+    config = WorldConfig() if noise is None else NOISY_START
+    episode, seen = Episode("fast", config, sensors=SensorConfig(renderer, camera_noise=noise)), []
+    for scene in (NUMBERED, rename(NUMBERED, 777)):
+        start(episode, scene, make_receiver("hold", DATA), 1)
+        seen.append([{**episode.observe(), **episode.observe_camera(obs_mode)} for obs_mode in OBS_PARTS])
+    assert_equal(*seen)
     episode.close()

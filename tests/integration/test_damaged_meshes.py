@@ -48,10 +48,7 @@ def assert_refused(scene: Scene, physics: str, error: type[HandoverError], messa
     episode.close()
 
 
-@pytest.mark.parametrize(
-    ("kind", "body"),
-    [("empty", "object"), ("half", "hand"), ("flat", "object")],
-)
+@pytest.mark.parametrize(("kind", "body"), [("empty", "object"), ("half", "hand"), ("flat", "object")])
 def test_damaged_collision_meshes_are_refused(kind: str, body: str, tmp_path: Path) -> None:
     scene = damage(open_dataset("synthetic").load_scene(209), body, tmp_path, DAMAGES[kind])
     for physics in list_available_physics():
@@ -60,11 +57,7 @@ def test_damaged_collision_meshes_are_refused(kind: str, body: str, tmp_path: Pa
 
 @pytest.mark.parametrize(
     ("body", "name", "number"),
-    [
-        ("object", 'mass value="', "nan"),
-        ("panda", 'izz="', "1e30"),
-        ("object", 'scale="', "0 1 1"),
-    ],
+    [("object", 'mass value="', "nan"), ("panda", 'izz="', "1e30"), ("object", 'scale="', "0 1 1")],
 )
 def test_impossible_numbers_are_refused(body: str, name: str, number: str, tmp_path: Path) -> None:
     def change(text: str) -> str:

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from tests.helpers.comma_locale import install_comma_locale
 from tests.integration import process_settings
 
 pytestmark = pytest.mark.slow
@@ -28,7 +27,7 @@ MODULES = ("assets", "givers", "receivers", "handover_marl", "numpy", "json", "t
 
 def test_settings_of_the_process_change_no_episode(tmp_path: Path) -> None:
     """Hashes in a process with other settings equal those in this one."""
-    env = install_comma_locale(tmp_path / "locales") | {"PYTHONPATH": str(ROOT)} | VARIABLES
+    env = process_settings.install_comma_locale(tmp_path / "locales") | {"PYTHONPATH": str(ROOT)} | VARIABLES
     for module in MODULES:
         (tmp_path / f"{module}.py").write_text("raise ImportError('a file of the working folder')")
     command = [sys.executable, process_settings.__file__]

@@ -22,11 +22,11 @@ def write_weights(path: Path, feature: int, features: str = OFFER_FEATURES) -> s
     return str(path)
 
 
-@pytest.mark.parametrize(("feature", "component", "limit"), [(31, 3, 0.25), (34, 6, 1.0)])
+@pytest.mark.parametrize(("feature", "component", "limit"), [(43, 3, 0.25), (46, 6, 1.0)])
 def test_the_giver_takes_the_offer_that_its_network_prefers(
     tmp_path: Path, feature: int, component: int, limit: float
 ) -> None:
-    """Features 31 and 34 are the translation upwards and the rotation about the vertical."""
+    """Features 43 and 46 are the translation upwards and the rotation about the vertical."""
     weights = write_weights(tmp_path / "up.npz", feature)
     giver = givers.make(f"adaptive:weights={weights},offers=500,reach_cost=0")
     assert giver.weights_hash.startswith("up@")
@@ -43,8 +43,8 @@ def test_the_giver_takes_the_offer_that_its_network_prefers(
 
 
 def test_a_large_cost_of_reaching_keeps_the_wrist_near(tmp_path: Path) -> None:
-    """Feature 29 is the translation towards the gripper, away from the person."""
-    weights = write_weights(tmp_path / "far.npz", 29)
+    """Feature 41 is the translation towards the gripper, away from the person."""
+    weights = write_weights(tmp_path / "far.npz", 41)
     shifts = []
     for cost in (0, 50):
         giver = givers.make(f"adaptive:weights={weights},reach_cost={cost}")

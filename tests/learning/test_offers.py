@@ -13,20 +13,24 @@ from handover_marl.episode.metrics.fluency import CHEST, HALF_SHOULDER_WIDTH
 from handover_marl.episode.observations import Observation, add_episode_axis
 from handover_marl.geometry.panda import HALF_TURN
 from handover_marl.geometry.poses import compose, inverse_transform_points, invert_pose, transform_points
+from handover_marl.learning.grasp_costs import MAX_CLEARANCE, load_validated_grasps
 from handover_marl.learning.offers import (
     N_OFFER_FEATURES,
+    OfferFeatures,
     compute_added_reaches,
-    compute_offer_features,
     compute_offer_scores,
     compute_offered_poses,
     draw_offers,
 )
+from handover_marl.planning.arm_control import ArmInWorld
+from handover_marl.planning.robot_clearance import Spheres, compute_grasp_clearances
 from handover_marl.receivers import make_policy_context
 from handover_marl.receivers.grasp_library import load_hand_poses
 from tests.givers.test_givers import seen
 from tests.learning.test_schemes import handover_action
 
 CONTEXT = make_policy_context(SyntheticDataset())
+FEATURES = OfferFeatures(CONTEXT)
 seeds = st.integers(0, 1000)
 
 
@@ -75,7 +79,7 @@ def quaternion(vector: np.ndarray) -> np.ndarray:
 def test_the_best_grasp_is_that_of_an_observation_of_the_offered_object(seed: int) -> None:
     """The hand moves with the object, so clearances are those of the present observation."""
     observation, offer = draw_observation(seed), draw_offers(np.random.default_rng(seed), 2, 0.5)[1:]
-    features = compute_offer_features(add_episode_axis(observation), offer, CONTEXT)
+    features = FEATURES(add_episode_axis(observation), offer)
     assert features is not None
     (pose,) = compute_offered_poses(add_episode_axis(observation), offer)
     joints = transform_points(
@@ -86,36 +90,70 @@ def test_the_best_grasp_is_that_of_an_observation_of_the_offered_object(seed: in
     grasps = compose(pose, np.concatenate([known, compose(known, np.array(HALF_TURN))]))
     gripper = observation["gripper_pose"].astype(float)
     turns = Rotation.from_quat(gripper[3:]).inv() * Rotation.from_quat(grasps[:, 3:])
-    local = np.stack([inverse_transform_points(grasp, joints) for grasp in grasps])
-    local[..., 2] -= local[..., 2].clip(-0.05, 0.11)
-    clearances = np.minimum(np.linalg.norm(local, axis=-1).min(axis=1), 0.2)
-    costs = np.linalg.norm(grasps[:, :3] - gripper[:3], axis=1) + 0.25 * turns.magnitude()
-    costs += 4.0 * np.maximum(0.09 - clearances, 0.0)
-    best = int(np.argmin(costs))
-    clearance = clearances[best]
-    assert features[0, 5] == pytest.approx(costs[best], abs=1e-5)
-    assert features[0, 6] / 10.0 == pytest.approx(clearance, abs=1e-5)
-    np.testing.assert_allclose(features[0, 17:20], grasps[best, :3], atol=1e-5)
-    # The nearest grasp costs at most as much as any other, and the mean of one grasp is its own clearance.
-    assert features[0, 4] <= features[0, 7] + 1e-6
-    assert features[0, 0] <= 10.0 * clearance + 1e-5 or features[0, 4] >= features[0, 7] - 1e-6
+    fingers = Spheres(joints, np.full(16, 0.012))
+    clearances = compute_grasp_clearances(grasps, fingers, 0.08, flange=False).clip(None, MAX_CLEARANCE)
+    motions = np.linalg.norm(grasps[:, :3] - gripper[:3], axis=1) + 0.25 * turns.magnitude()
+    costs = motions + 10.0 * np.maximum(0.03 - clearances, 0.0) + 5.0 * (clearances < 0.003)
+    nearest, best = np.argsort(motions), int(np.argmin(costs))
+    for place, number in enumerate((1, 4, 16, 64)):
+        some = clearances[nearest[:number]]
+        assert features[0, place] / 10.0 == pytest.approx(some.mean(), abs=1e-5)
+        assert features[0, 4 + place] == pytest.approx((some >= 0.003).mean(), abs=1e-5)
+    assert features[0, 8] == pytest.approx(motions.min(), abs=1e-5)
+    expected = [costs[best], 10.0 * clearances[best], motions[best], 0.0]
+    np.testing.assert_allclose(features[0, 9:13], expected, atol=1e-4)
+
+
+def test_offers_within_the_arms_reach_have_small_distances() -> None:
+    """An object 0.1 m from the gripper is within reach, one a metre away is not; larger distances count as 0.3 m."""
+    observation, offers = draw_observation(0), np.zeros((2, 7), np.float32)
+    arm = ArmInWorld.for_panda(CONTEXT.panda_urdf, CONTEXT.panda, 0.03)
+    hand = arm.compute_hand_pose(observation["robot_joint_position"][:7].astype(float))
+    near, far = (hand.astype(np.float32) + np.float32([0, y, 0, 0, 0, 0, 0]) for y in (0.1, 1.0))
+    found = []
+    for pose in (near, far):
+        poses = np.tile(pose, (5, 1))
+        one = add_episode_axis(observation | {"object_poses": poses, "replay_object_poses": poses})
+        features = FEATURES(one, offers)
+        assert features is not None
+        found.append(features[0, 13:19])
+    assert found[0][-1] == found[0][:5].min() < 0.1
+    assert found[1][-1] == pytest.approx(3.0)
+
+
+def test_grasps_that_may_not_hold_cost_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Features 19 to 37 are those of the validated grasps, which have costs of the hold."""
+    item = int(draw_observation(0)["object_classes"][0])
+    validated = load_validated_grasps(CONTEXT, item)
+    assert validated is not None
+    observation, offers = add_episode_axis(draw_observation(0)), draw_offers(np.random.default_rng(0), 3, 0.5)
+    costs = np.zeros(len(validated[0]))
+    monkeypatch.setattr("handover_marl.learning.offers.load_validated_grasps", lambda *_: (validated[0], costs))
+    firm = FEATURES(observation, offers)
+    costs[:] = 2.0
+    loose = FEATURES(observation, offers)
+    assert firm is not None
+    assert loose is not None
+    np.testing.assert_array_equal(firm[:, :19], loose[:, :19])
+    np.testing.assert_allclose(loose[:, 28] - firm[:, 28], 0.2, atol=1e-5)
+    np.testing.assert_allclose(loose[:, 31], 2.0)
 
 
 def test_features_have_the_documented_number_and_end_with_the_offer() -> None:
     offers = draw_offers(np.random.default_rng(0), 5, 0.5)
-    features = compute_offer_features(add_episode_axis(draw_observation(0)), offers, CONTEXT)
+    features = FEATURES(add_episode_axis(draw_observation(0)), offers)
     assert features is not None
     assert features.shape == (5, N_OFFER_FEATURES)
     assert features.dtype == np.float32
-    np.testing.assert_array_equal(features[:, 29:], offers)
+    np.testing.assert_array_equal(features[:, 41:], offers)
     assert not offers[0, :6].any()
     assert np.abs(offers[1:, :6]).all()
 
 
 def test_objects_without_known_grasps_have_no_features() -> None:
-    context = replace(CONTEXT, grasps=lambda name: None)
+    features = OfferFeatures(replace(CONTEXT, grasps=lambda name: None))
     offers = draw_offers(np.random.default_rng(0), 2, 0.5)
-    assert compute_offer_features(add_episode_axis(draw_observation(0)), offers, context) is None
+    assert features(add_episode_axis(draw_observation(0)), offers) is None
 
 
 def test_the_score_is_the_probability_of_success_times_the_saved_time() -> None:

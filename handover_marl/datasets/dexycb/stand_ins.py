@@ -8,6 +8,7 @@ PyBullet's Panda. Stand-in files and all results made with them are marked as su
 
 import functools
 import io
+import itertools
 import tarfile
 import tempfile
 import zipfile
@@ -33,10 +34,14 @@ from handover_marl.errors import DataFormatError, DataNotFoundError, UnsafeFileE
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.options import PoolConfig
 from handover_marl.execution.pool import map_with_progress
+from handover_marl.execution.reading import check_archive
 from handover_marl.geometry.model_files.meshes import compute_convex_hull, decompose_convex
 from handover_marl.geometry.model_files.obj_files import format_convex_parts, read_obj
 from handover_marl.geometry.panda import PANDA_CAMERA
 from handover_marl.geometry.ycb import CLASS_NAMES
+
+#: Largest accepted size of an unpacked archive (bytes).
+MAX_UNPACKED_BYTES = 20_000_000_000
 
 
 @contextmanager
@@ -46,7 +51,7 @@ def open_folder(source: Path) -> Iterator[Path]:
     Raises:
         DataNotFoundError: The source does not exist or is not a folder or plain file.
         UnsafeFileError: The archive contains devices, symbolic links or paths to places outside itself.
-        DataFormatError: The archive is damaged, or the file is not an archive.
+        DataFormatError: The archive is damaged or too large, or the file is not an archive.
     """
     try:
         is_folder, is_file = source.is_dir(), source.is_file()
@@ -60,10 +65,14 @@ def open_folder(source: Path) -> Iterator[Path]:
     with tempfile.TemporaryDirectory() as folder:
         try:
             if zipfile.is_zipfile(source):
+                check_archive(source, MAX_UNPACKED_BYTES)
                 with zipfile.ZipFile(source) as zip_archive:
                     zip_archive.extractall(folder)
             else:
                 with tarfile.open(source) as archive:
+                    # Reading stops at the limit: a few compressed bytes can stand for terabytes.
+                    if any(size > MAX_UNPACKED_BYTES for size in itertools.accumulate(part.size for part in archive)):
+                        raise ValueError(f"it unpacks to more than {MAX_UNPACKED_BYTES / 1e6:g} MB")
                     archive.extractall(folder, filter="data")
         except tarfile.FilterError as error:
             raise UnsafeFileError(

@@ -104,10 +104,7 @@ class GeneratedConfig:
 
 #: Configuration of each family unless something else is given.
 FAMILY_DEFAULTS: Final[Mapping[str, GeneratedConfig]] = MappingProxyType(
-    {
-        DEFAULT: GeneratedConfig(),
-        HARD: GeneratedConfig(family=HARD, procedural=1.0, clutter_min=4, clutter_max=4),
-    }
+    {DEFAULT: GeneratedConfig(), HARD: GeneratedConfig(family=HARD, procedural=1.0, clutter_min=4, clutter_max=4)}
 )
 
 

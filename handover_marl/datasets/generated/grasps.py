@@ -203,12 +203,7 @@ def close_fingers(solid: Solid, templates: HandTemplates, palms: Palms, rows: In
 
 
 def _close_end_joints(
-    solid: Solid,
-    templates: HandTemplates,
-    palms: Palms,
-    rows: Ints,
-    bends: Array,
-    phalanx: Ints,
+    solid: Solid, templates: HandTemplates, palms: Palms, rows: Ints, bends: Array, phalanx: Ints
 ) -> Array:
     """Return flexions `bends` (n, 5, 3) (rad) with the joints beyond the touching `phalanx` (n, 5) closed further."""
     n, count = len(rows), _N_DISTAL_STEPS

@@ -156,8 +156,7 @@ def make_palm_capsules(hand: HandGeometry) -> list[Capsule]:
 def make_forearm_capsules(hand: HandGeometry) -> list[Capsule]:
     """Return capsules, in the palm's frame, that approximate the end of the forearm."""
     return _scale_capsules(
-        hand,
-        [(np.array([0.075, 0.0, z]), np.array([0.0, 0.0, z * 8.0 / 9.0]), 0.024, 0.0165) for z in (0.009, -0.009)],
+        hand, [(np.array([0.075, 0.0, z]), np.array([0.0, 0.0, z * 8.0 / 9.0]), 0.024, 0.0165) for z in (0.009, -0.009)]
     )
 
 

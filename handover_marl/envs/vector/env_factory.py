@@ -17,7 +17,6 @@ from handover_marl.envs.vector.single_envs import SingleEnvs, WrapperFunction, a
 from handover_marl.envs.wrappers.encode import EncodedEnv, encode
 from handover_marl.envs.wrappers.freeze import FrozenPartnerEnv, freeze
 from handover_marl.envs.wrappers.wrapper import EpisodeReturns, WrappableEnv, list_wrappers
-from handover_marl.episode.camera_observations import resolve_cameras
 from handover_marl.episode.spaces import FULL_POINTCLOUD, STATE, parse_obs_mode
 from handover_marl.errors import OptionError
 from handover_marl.learning.custom_encodings import FeaturesLike, SchemeLike, is_reference
@@ -142,7 +141,7 @@ class EnvFactory:
             (has_full_clouds, f"an obs_mode without {FULL_POINTCLOUD}, got {config.obs_mode!r}"),
             (config.camera_noise is not None, f"camera_noise=None, got {config.camera_noise!r}"),
             (config.camera_randomization is not None, "camera_randomization=None"),
-            (any(camera.period for camera in resolve_cameras(config.cameras)), "cameras with period=0"),
+            (any(camera.period for camera in config.sensors.cameras), "cameras with period=0"),
             (renderer != RAYS, f"the renderer 'rays', got {config.renderer!r}"),
             (not has_terms, f"rewards that are weights of the library's terms, got {config.rewards!r}"),
             (is_own_scheme, f"a built-in action scheme for the receiver, got {scheme!r}"),

@@ -37,11 +37,7 @@ class PopulationBatch(PolicyBatch):
     """
 
     def __init__(
-        self,
-        policy: PopulationPolicy,
-        batches: Sequence[PolicyBatch],
-        count: int,
-        arrays: ArrayFactory = NUMPY_ARRAYS,
+        self, policy: PopulationPolicy, batches: Sequence[PolicyBatch], count: int, arrays: ArrayFactory = NUMPY_ARRAYS
     ) -> None:
         self._policy, self._batches, self._arrays = policy, batches, arrays
         self._numbers = np.zeros(count, dtype=np.int_)

@@ -6,14 +6,7 @@ from gymnasium.utils import EzPickle, seeding
 
 from handover_marl.envs.arguments import AGENTS, GIVER, RECEIVER
 from handover_marl.envs.handover_env import HandoverEnv
-from handover_marl.envs.wrappers.wrapper import (
-    Api,
-    ByAgent,
-    ParallelStep,
-    ParallelWrapper,
-    WrappableEnv,
-    convert_api,
-)
+from handover_marl.envs.wrappers.wrapper import Api, ByAgent, ParallelStep, ParallelWrapper, WrappableEnv, convert_api
 from handover_marl.errors import ActionError, OptionError, check_name
 from handover_marl.policies.reference import PolicyLike, parse_policy
 from handover_marl.policies.registry import list_available
@@ -44,11 +37,7 @@ class FrozenPartnerEnv(ParallelWrapper):
     metadata: dict[str, Any] = {**HandoverEnv.metadata, "name": "handover_frozen_partner_v0"}
 
     def __init__(
-        self,
-        env: WrappableEnv,
-        agent: str = RECEIVER,
-        partner: PolicyLike | None = None,
-        trust: bool = False,
+        self, env: WrappableEnv, agent: str = RECEIVER, partner: PolicyLike | None = None, trust: bool = False
     ) -> None:
         check_name("agent", agent, AGENTS)
         super().__init__(env, [agent])

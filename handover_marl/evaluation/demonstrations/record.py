@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.config import TIME_STEP
-from handover_marl.episode.camera_observations import resolve_cameras
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import EpisodeCallback, PolicyDecision
 from handover_marl.episode.observations import Observation, select_receiver_observation
@@ -191,7 +190,7 @@ class DemonstrationWriter(EpisodeWriter):
         largest_class = max(config.open_dataset().object_names)
         description: dict[str, Any] = {"obs_mode": obs_mode, "fps": fps, "largest_class": largest_class}
         if has_camera(obs_mode):
-            description["cameras"] = [describe_camera(camera) for camera in resolve_cameras(config.cameras)]
+            description["cameras"] = [describe_camera(camera) for camera in config.sensors.cameras]
         write_atomically(self.path / DEMONSTRATIONS_METADATA, json.dumps(description) + "\n")
 
     def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:

@@ -97,11 +97,7 @@ def estimate_rate(statistic: Statistic, flags: Array, families: Sequence[str] | 
 
 
 def estimate_difference(
-    statistic: Statistic,
-    first: Array,
-    second: Array,
-    families: Sequence[str] | None,
-    references: Array | None = None,
+    statistic: Statistic, first: Array, second: Array, families: Sequence[str] | None, references: Array | None = None
 ) -> Estimate:
     """Estimate the difference of a statistic of two methods, first minus second, paired by partner and scene.
 

@@ -15,6 +15,7 @@ from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import check_vector
 from handover_marl.errors import OptionError
 from handover_marl.learning.features import AgentFeatures, make_features
+from handover_marl.learning.offers import OFFER_FEATURES
 from handover_marl.learning.policy_files import read_policy
 from handover_marl.learning.policy_spec import OBSERVATION, DenseNetwork, PolicySpec
 from handover_marl.learning.schemes import make_scheme
@@ -215,7 +216,7 @@ class LearnedPolicy(FunctionPolicy):
         DataFormatError: The file is damaged or for another agent.
         UnsafeFileError: The file contains code, or names user-defined features or schemes (`module:name`),
             and is not trusted.
-        OptionError: A receiver has no file, or an option does not fit the file.
+        OptionError: A receiver has no file, an option does not fit the file, or the file is one of giver `adaptive`.
     """
 
     name = "learned"
@@ -233,5 +234,10 @@ class LearnedPolicy(FunctionPolicy):
             raise OptionError(f"{agent} 'learned' needs a policy file: learned:FILE, see experiments/")
         file = DEFAULT_GIVER_FILE if path is None else Path(path).expanduser()
         spec, network, file_label = read_policy(file, agent, trust, control_period=control_period)
+        if spec.features == OFFER_FEATURES:
+            raise OptionError(
+                f"weights of giver 'learned' must map observations to actions, got {file} of train_giver_offers.py; "
+                f"pass adaptive:weights={file}"
+            )
         label = self.name if path is None else f"{self.name}:{file_label}"
         super().__init__(context, network, spec, self.name, label, wait=wait)

@@ -125,6 +125,12 @@ class RlArgs(SetupArgs):
     val_scenes: int = 36
 
     @property
+    def env_options(self) -> dict[str, Any]:
+        """Keyword arguments of training environments: scenes, physics, control period and largest number of steps."""
+        names = ("setup", "dataset", "data_dir", "physics", "control_period", "max_cycles")
+        return {"split": "train"} | {name: getattr(self, name) for name in names}
+
+    @property
     def max_cycles(self) -> int:
         """Number of decisions after which training episodes are truncated: `time_limit` / `control_period`."""
         return math.ceil(self.time_limit / self.control_period)

@@ -90,15 +90,9 @@ class PpoArgs(RlArgs):
     def make_env_config(self) -> EnvConfig:
         """Create the configuration of the environment on the training scenes."""
         return EnvConfig(
-            setup=self.setup,
-            split="train",
-            data_dir=self.data_dir,
-            dataset=self.dataset,
-            physics=self.physics,
-            control_period=self.control_period,
+            **self.env_options,
             rewards=set_discount(self.rewards, self.discount),
             scenes=select_training_scenes(self.open_dataset().list_scenes(self.setup, "train")),
-            max_cycles=self.max_cycles,
         )
 
 

@@ -74,9 +74,7 @@ def render_camera(
     rgba = np.asarray(pixels, dtype=np.uint8).reshape(*shape, 4) if color else None
     depth[numbers < 0] = camera.empty_depth
     return CameraImage(
-        depth=depth,
-        segmentation=_label_pixels(numbers, labels),
-        rgb=None if rgba is None else rgba[..., :3].copy(),
+        depth=depth, segmentation=_label_pixels(numbers, labels), rgb=None if rgba is None else rgba[..., :3].copy()
     )
 
 

@@ -11,13 +11,7 @@ from handover_marl.config import PhysicsConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.errors import ResetNeededError
 from handover_marl.geometry.kinematic_tree import read_tree
-from handover_marl.simulation.bullet.bodies import (
-    HandBody,
-    ObjectBody,
-    PandaBody,
-    compute_object_masks,
-    load_workcell,
-)
+from handover_marl.simulation.bullet.bodies import HandBody, ObjectBody, PandaBody, compute_object_masks, load_workcell
 from handover_marl.simulation.bullet.rendering import render_camera
 from handover_marl.simulation.bullet.sleepable_bodies import KinematicHand, SleepableObject, read_bounding_spheres
 from handover_marl.simulation.bullet.world import BulletWorld

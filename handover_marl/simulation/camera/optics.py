@@ -181,10 +181,7 @@ def describe_calibration(infos: Mapping[str, CameraInfo]) -> dict[str, Float64Ar
 
 
 def deproject(
-    depth: Array,
-    mask: npt.NDArray[np.bool_],
-    camera_model: str = HANDOVERSIM_MODEL,
-    camera: Pinhole = WRIST_CAMERA,
+    depth: Array, mask: npt.NDArray[np.bool_], camera_model: str = HANDOVERSIM_MODEL, camera: Pinhole = WRIST_CAMERA
 ) -> Array:
     """Compute the 3D points (n, 3) of the pixels of a depth image (h, w) where `mask` (h, w) is True.
 

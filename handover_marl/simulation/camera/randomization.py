@@ -65,9 +65,7 @@ class CameraRandomization(CheckedConfig):
             base = noise or CameraNoise(depth_noise_std=0.0, edge_dropout=0.0, latency=0.0)
             std, latency = np.array([self.depth_noise_std, self.latency]) * share
             noise = replace(
-                base,
-                depth_noise_std=base.depth_noise_std + float(std),
-                latency=min(base.latency + float(latency), 1.0),
+                base, depth_noise_std=base.depth_noise_std + float(std), latency=min(base.latency + float(latency), 1.0)
             )
         return CameraDraw(drawn, noise, gains if self.color or self.brightness else None)
 

@@ -17,14 +17,7 @@ from handover_marl.episode.giver_motion import NO_DEVIATION
 from handover_marl.episode.loop import derive_seed
 from handover_marl.episode.observations import select_receiver_observation
 from handover_marl.errors import OptionError
-from tests.evaluation.demonstrations.recording import (
-    HORIZON,
-    OPTIONS,
-    SCENES,
-    SHORT,
-    MovingReceiver,
-    record,
-)
+from tests.evaluation.demonstrations.recording import HORIZON, OPTIONS, SCENES, SHORT, MovingReceiver, record
 from tests.helpers.equality import read_files
 from tests.helpers.short_episodes import shorten_episodes
 

@@ -12,11 +12,7 @@ from handover_marl.cli import main
 from handover_marl.episode.observations import receiver_observation_space
 from handover_marl.episode.spaces import OBS_PARTS
 from handover_marl.errors import OptionError
-from handover_marl.evaluation.demonstrations.convert import (
-    convert_to_lerobot,
-    describe_features,
-    make_columns,
-)
+from handover_marl.evaluation.demonstrations.convert import convert_to_lerobot, describe_features, make_columns
 from handover_marl.evaluation.demonstrations.demonstration import Demonstration
 from tests.evaluation.demonstrations.recording import SCENES, record
 from tests.helpers.lerobot import prepare_lerobot

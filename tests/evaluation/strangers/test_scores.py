@@ -29,10 +29,7 @@ def test_intervals_cover_whatever_varies(varying: str, kind: str) -> None:
     families = [str(number // 3) for number in range(18)]
     covered = []
     for _ in range(200):
-        effect = {
-            "families": np.repeat(rng.normal(size=6), 3)[:, None],
-            "scenes": rng.normal(size=(1, 36)),
-        }[varying]
+        effect = {"families": np.repeat(rng.normal(size=6), 3)[:, None], "scenes": rng.normal(size=(1, 36))}[varying]
         if kind == "rate":
             chances = 1.0 / (1.0 + np.exp(-3.0 - effect))
             found = estimate_rate(compute_mean, (rng.random((1, 18, 36)) < chances).astype(float), families)

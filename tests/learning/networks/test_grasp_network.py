@@ -13,11 +13,7 @@ from handover_marl.learning.imitation.vision.training import (
     find_enclosed_centers,
     grasp_targets_from_poses,
 )
-from handover_marl.learning.networks.grasp_network import (
-    GraspNetwork,
-    GraspOutputs,
-    PointCloudBatch,
-)
+from handover_marl.learning.networks.grasp_network import GraspNetwork, GraspOutputs, PointCloudBatch
 
 NOTHING = torch.zeros(1, 3)
 

@@ -45,7 +45,7 @@ def test_a_run_continues_and_writes_a_policy(
     path = train.main(train.Args(**options, episodes=4, resume=True))
     givers.make(f"adaptive:weights={path}")
     with np.load(tmp_path / "run" / "offers.npz") as stored:
-        assert stored["features"].shape == (4, 36)
-        assert abs(stored["features"][:, 29:]).max() <= 1
+        assert stored["features"].shape == (4, 48)
+        assert abs(stored["features"][:, 41:]).max() <= 1
         # The second part of the run has environments with other seeds.
         assert (stored["features"][:2] != stored["features"][2:]).any()

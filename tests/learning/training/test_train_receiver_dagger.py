@@ -24,7 +24,7 @@ def test_the_network_learns_the_experts_outputs(train: ModuleType) -> None:
     rng = np.random.default_rng(0)
     features = (3.0 + 2.0 * rng.standard_normal((2000, 4))).astype(np.float32)
     outputs = np.tanh(features[:, :2] - features[:, 2:])
-    network = train.fit(train.Decisions(features, outputs, np.zeros(2000, bool)), train.Args(width=32, updates=1500))
+    network = train.fit(train.Decisions(features, outputs, np.zeros(2000, bool)), train.Args(width=32, epochs=384.0))
     assert abs(network(features) - outputs).mean() < 0.1
 
 
@@ -33,7 +33,7 @@ def test_a_run_continues_and_writes_a_policy(
     train: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shorten_episodes(monkeypatch, 600)
-    small = {"num_envs": 2, "batches": 2, "seconds": 0.6, "updates": 2, "workers": 1, "rounds": 1}
+    small = {"num_envs": 2, "batches": 2, "seconds": 0.6, "epochs": 0.1, "workers": 1, "rounds": 1}
     args = train.Args(dataset="synthetic", out=tmp_path / "a", expert="hold", val_scenes=0, **small)
     train.main(args)
     path = train.main(replace(args, rounds=2, resume=True))

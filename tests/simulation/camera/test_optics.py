@@ -5,12 +5,7 @@ import numpy.typing as npt
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from handover_marl.simulation.camera.optics import (
-    HANDOVERSIM_MODEL,
-    PINHOLE_MODEL,
-    WRIST_CAMERA,
-    deproject,
-)
+from handover_marl.simulation.camera.optics import HANDOVERSIM_MODEL, PINHOLE_MODEL, WRIST_CAMERA, deproject
 
 SHAPE = (224, 224)
 

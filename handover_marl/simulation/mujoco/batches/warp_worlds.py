@@ -16,11 +16,7 @@ from handover_marl.simulation.mujoco.batches.warp_group import StepControls, War
 from handover_marl.simulation.mujoco.batches.warp_model import compute_layout, load_padded_model
 from handover_marl.simulation.mujoco.control import ABSENT
 from handover_marl.simulation.mujoco.engine import WXYZ, bullet_xyzw_from_wxyz, configure_engine
-from handover_marl.simulation.reference_tracking import (
-    ReferenceMotion,
-    list_hand_motors,
-    select_keypoint_links,
-)
+from handover_marl.simulation.reference_tracking import ReferenceMotion, list_hand_motors, select_keypoint_links
 from handover_marl.simulation.world import Contacts, JudgeFunction, WorldState
 from handover_marl.simulation.worlds import Worlds
 

@@ -1,6 +1,8 @@
-"""Tests of reading checkpoints of the original code, generated here with the same names and shapes."""
+"""Tests of weights: checkpoints of the original code, generated here, and the library's own format."""
 
+import json
 import pickle
+import re
 import shutil
 from collections import OrderedDict
 from pathlib import Path
@@ -10,10 +12,13 @@ import numpy as np
 import pytest
 import torch
 
+from handover_marl.assets.shipped import GADDPG_WEIGHTS, find_vision_weights
+from handover_marl.datasets.splits import SETUPS, get_prescribed_side, list_split_scenes
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import DataFormatError, DataNotFoundError, UnsafeFileError
-from handover_marl.learning.networks.gaddpg_network import read_gaddpg_checkpoint
-from handover_marl.receivers import make
+from handover_marl.learning.networks.gaddpg_network import GaddpgNetwork, read_gaddpg_checkpoint
+from handover_marl.learning.networks.weights import read_network_weights, write_network_weights
+from handover_marl.receivers import gaddpg, make
 
 ACTOR, FEATURES = "DDPG_actor_PandaYCBEnv_latest", "DDPG_state_feat_PandaYCBEnv_latest"
 STAGES = ((7, 64, 64, 128), (131, 128, 128, 256), (259, 256, 256, 512))
@@ -153,3 +158,66 @@ def test_the_receiver_takes_them(made_up: Path) -> None:
     receiver = make(f"gaddpg:weights={made_up},wait=0", SyntheticDataset())
     assert receiver.label == f"gaddpg@{read_gaddpg_checkpoint(made_up)[1]}"
     assert receiver.wait == 0.0
+
+
+DATA = SyntheticDataset(robot="panda_camera")
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    torch.manual_seed(0)
+    path = tmp_path / "policy.npz"
+    write_network_weights(path, GaddpgNetwork(), {"made by": "a test"})
+    return path
+
+
+def test_without_options_the_shipped_ones_are_taken(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gaddpg, "GADDPG_WEIGHTS", file)
+    assert make("gaddpg", DATA).label.startswith("gaddpg@own weights ")
+    monkeypatch.setattr(gaddpg, "GADDPG_WEIGHTS", file.with_name("none.npz"))
+    with pytest.raises(DataNotFoundError, match=r"none\.npz: cannot read these weights"):
+        make("gaddpg", DATA)
+
+
+def test_others_are_refused(file: Path, tmp_path: Path) -> None:
+    with pytest.raises(DataNotFoundError):
+        read_network_weights(tmp_path / "none.npz", GaddpgNetwork)
+    damaged = tmp_path / "damaged.npz"
+    damaged.write_bytes(file.read_bytes()[:1000])
+    with pytest.raises(DataFormatError):
+        read_network_weights(damaged, GaddpgNetwork)
+    with np.load(file) as content:
+        arrays = dict(content)
+    for name, value in (("about", np.array("{}")), ("policy.mean.bias", np.full(6, np.nan, dtype=np.float32))):
+        np.savez(damaged, **(arrays | {name: value}))
+        with pytest.raises(DataFormatError):
+            read_network_weights(damaged, GaddpgNetwork)
+    np.savez(damaged, **(arrays | {"policy.mean.bias": np.array([object()])}), allow_pickle=True)
+    with pytest.raises(DataFormatError):
+        read_network_weights(damaged, GaddpgNetwork)
+
+
+@pytest.mark.parametrize(
+    ("path", "setups"),
+    [(GADDPG_WEIGHTS, SETUPS), *((find_vision_weights(setup), (setup,)) for setup in SETUPS)],
+    ids=["gaddpg", *SETUPS],
+)
+def test_shipped_weights_were_not_trained_on_test_scenes(path: Path, setups: tuple[str, ...]) -> None:
+    """Trainings use the scenes that are in the train splits of all setups that the card of a file names.
+
+    The cards have no paths, and the files are small.
+    """
+    assert path.stat().st_size < (1_900_000 if path == GADDPG_WEIGHTS else 1_500_000)
+    with np.load(path) as content:
+        about = json.loads(str(content["about"]))
+    command = about["made_by"]["made by"]
+    assert path != GADDPG_WEIGHTS or about["settings"]["max_steps"] == 30
+    assert "/" not in re.sub(r"^experiments/\w+\.py", "", command)
+    named = re.search(r"\bsetups?=(\([^)]*\)|'[^']*')", command)
+    assert named is not None
+    assert "dataset='dexycb'" in command
+    assert tuple(re.findall(r"s\d", named[1])) == setups
+    used = set.intersection(*(set(list_split_scenes(setup, "train", get_prescribed_side)) for setup in setups))
+    assert used
+    for setup in setups:
+        assert used.isdisjoint(list_split_scenes(setup, "test", get_prescribed_side))

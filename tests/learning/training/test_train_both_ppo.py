@@ -1,0 +1,44 @@
+"""Tests of the training of both agents in plain PyTorch."""
+
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from handover_marl.learning.policy_files import read_policy
+from tests.helpers.short_episodes import shorten_episodes
+from tests.learning.training.scripts import script
+
+torch = pytest.importorskip("torch", reason="needs the extra `train`")
+pytest.importorskip("mujoco", reason="needs MuJoCo")
+
+
+@pytest.fixture(name="train")
+def _train(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    return script("train_both_ppo", monkeypatch)
+
+
+def test_only_the_value_function_observes_the_other_agent(train: ModuleType) -> None:
+    learner = train.Learner(2, 5, [0.1, 0.1, 0.1], 8)
+    features = torch.randn(4, 5)
+    changed = torch.cat([features[:, :2], features[:, 2:] + 1.0], 1)
+    mean = learner.compute_distribution(features).mean
+    torch.testing.assert_close(learner.compute_distribution(changed).mean, mean, rtol=0, atol=0)
+    assert (learner.compute_value(changed) != learner.compute_value(features)).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("critic", ["own", "both"])
+def test_a_training_writes_both_policies_and_repeats_from_its_seed(
+    train: ModuleType, critic: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shorten_episodes(monkeypatch, 3000)
+    small = {"num_envs": 4, "batch_size": 32, "epochs": 2, "minibatch_size": 16, "decisions": 64, "val_scenes": 0}
+    written = []
+    for name, workers in (("a", 2), ("b", 2)):
+        args = train.Args(dataset="synthetic", critic=critic, out=tmp_path / name, workers=workers, **small)
+        written.append([(train.main(args) / f"{agent}.npz").read_bytes() for agent in ("giver", "receiver")])
+    assert written[0] == written[1]
+    spec, network, _ = read_policy(tmp_path / "a" / "giver.npz", "giver")
+    assert (spec.features, spec.actions) == ("giver", "offer")
+    assert network.n_inputs == 39
