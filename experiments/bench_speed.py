@@ -153,7 +153,7 @@ def measure_warp(args: Args, count: int) -> tuple[float, float]:
         "receiver",
         "cooperative",
         features="close" if is_encoded else None,
-        schemes="grasp_servo" if is_encoded else None,
+        action_scheme="grasp_servo" if is_encoded else None,
         obs_mode=args.obs_mode,
         autoreset="same_step",
         backend=WARP,

@@ -86,7 +86,13 @@ class Collector:
     def __init__(self, number: int, args: Args) -> None:
         self.args, count = args, args.num_envs // args.workers
         self.envs = handover_marl.vector_env(
-            count, None, features=FEATURES, schemes=SCHEMES, autoreset="same_step", processes=1, **args.env_options
+            count,
+            None,
+            features=FEATURES,
+            action_scheme=SCHEMES,
+            autoreset="same_step",
+            processes=1,
+            **args.env_options,
         )
         noise_seed, *seeds = spawn_seeds(1 + count, args.seed, number)
         self.generator = torch.Generator().manual_seed(noise_seed)

@@ -133,7 +133,7 @@ class Collector:
             "giver",
             args.receivers[self.receiver],
             features="flat_giver",
-            schemes=ACTIONS,
+            action_scheme=ACTIONS,
             autoreset="same_step",
             setup=args.setup,
             split="train",

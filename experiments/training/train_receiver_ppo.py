@@ -143,7 +143,7 @@ class Collector:
             "receiver",
             args.giver,
             features=args.features,
-            schemes=args.actions,
+            action_scheme=args.actions,
             autoreset="same_step",
             rewards=set_discount(args.rewards, args.discount),
             **where,

@@ -125,7 +125,9 @@ def test_make_vec_uses_the_vector_environment() -> None:
     assert isinstance(envs, HandoverVectorEnv)
     assert envs.spec is not None
     envs.close()
-    giver = gymnasium.make_vec("HandoverMARL/Giver-v0", 1, features="giver", schemes="offer", partner="hold", **OPTIONS)
+    giver = gymnasium.make_vec(
+        "HandoverMARL/Giver-v0", 1, features="giver", action_scheme="offer", partner="hold", **OPTIONS
+    )
     assert giver.single_action_space.shape == (7,)
     giver.close()
 
@@ -167,7 +169,7 @@ SYNTHETIC: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "split":
 
 
 def encoded(agent: str, partner: str, actions: str | None = None, **options: Any) -> EncodedEnv:
-    return encode(freeze(parallel_env(**SYNTHETIC, **options), agent, partner), schemes=actions)
+    return encode(freeze(parallel_env(**SYNTHETIC, **options), agent, partner), action_scheme=actions)
 
 
 @pytest.mark.slow

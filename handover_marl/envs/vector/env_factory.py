@@ -45,7 +45,7 @@ class EnvFactory:
     agent: str | None
     partner: PolicyLike | None
     features: FeaturesLike | Mapping[str, FeaturesLike] | None
-    schemes: SchemeLike | Mapping[str, SchemeLike] | None
+    action_scheme: SchemeLike | Mapping[str, SchemeLike] | None
     wrappers: Sequence[WrapperFunction]
     trust: bool
     prefetch_episodes: bool
@@ -118,7 +118,11 @@ class EnvFactory:
             env = apply_wrapper(wrapper, env)
         if self.agent is not None:
             env = freeze(env, self.agent, self.partner, trust=self.trust)
-        return env if self.features is None and self.schemes is None else encode(env, self.features, self.schemes)
+        return (
+            env
+            if self.features is None and self.action_scheme is None
+            else encode(env, self.features, self.action_scheme)
+        )
 
     def _list_camera_faults(self) -> list[tuple[bool, str]]:
         """Return pairs: whether a requirement of cameras on a device is violated, and the requirement as text."""

@@ -131,7 +131,7 @@ def vector_env(
     partner: PolicyLike | None = None,
     *,
     features: FeaturesLike | Mapping[str, FeaturesLike] | None = None,
-    schemes: SchemeLike | Mapping[str, SchemeLike] | None = None,
+    action_scheme: SchemeLike | Mapping[str, SchemeLike] | None = None,
     wrappers: Sequence[WrapperFunction] = (),
     autoreset: str = "next_step",
     threads: int | None = None,
@@ -157,7 +157,7 @@ def vector_env(
         partner: Policy of the other agent; default: "replay" for a giver, "yang2021" for a receiver.
         features: Features that replace observations, a name, class or function as in `encode`; a mapping
             by agent for both agents.
-        schemes: Action scheme whose outputs replace actions, a name, class or function as in `encode`; a
+        action_scheme: Action scheme whose outputs replace actions, a name, class or function as in `encode`; a
             mapping by agent for both agents.
         wrappers: Functions or classes that wrap each environment by a
             `pettingzoo.utils.BaseParallelWrapper`, the innermost first; the wrapped environment has both
@@ -192,7 +192,7 @@ def vector_env(
         fields = {"physics": MUJOCO, **fields}
     chosen = make_env_config(config, fields)
     factory = EnvFactory(
-        chosen, agent, partner, features, schemes, wrappers, trust, autoreset != "disabled", chosen_backend
+        chosen, agent, partner, features, action_scheme, wrappers, trust, autoreset != "disabled", chosen_backend
     )
     if backend == WARP:
         factory.check_device()

@@ -49,7 +49,7 @@ class EncodedEnv(ParallelWrapper):
     Args:
         env: Environment to encode.
         features: Features, see `encode`; a mapping from agents to features if `env` has two agents.
-        schemes: Action scheme, see `encode`; a mapping from agents to schemes if `env` has two agents.
+        action_scheme: Action scheme, see `encode`; a mapping from agents to schemes if `env` has two agents.
 
     Attributes:
         choices: Features and action scheme as they were given, by agent.
@@ -61,16 +61,16 @@ class EncodedEnv(ParallelWrapper):
         self,
         env: WrappableEnv,
         features: FeaturesLike | Mapping[str, FeaturesLike] | None = None,
-        schemes: SchemeLike | Mapping[str, SchemeLike] | None = None,
+        action_scheme: SchemeLike | Mapping[str, SchemeLike] | None = None,
     ) -> None:
         super().__init__(env)
-        EzPickle.__init__(self, env, features, schemes)
+        EzPickle.__init__(self, env, features, action_scheme)
         agents = self.possible_agents
         vectors = [agent for agent in agents if not isinstance(env.observation_space(agent), spaces.Dict)]
         if vectors:
             raise OptionError(f"observations of the {vectors[0]} are vectors already; encode once, before flattening")
         chosen_features = _complete_choices("features", DEFAULT_FEATURES, features, agents)
-        chosen_schemes = _complete_choices("schemes", DEFAULT_SCHEMES, schemes, agents)
+        chosen_schemes = _complete_choices("action_scheme", DEFAULT_SCHEMES, action_scheme, agents)
         base = self.unwrapped
         if RECEIVER in agents:
             _check_state(base.config.obs_mode, chosen_features[RECEIVER], chosen_schemes[RECEIVER])
@@ -180,7 +180,7 @@ class EncodedEnv(ParallelWrapper):
 def encode(
     env: WrappableEnv,
     features: FeaturesLike | Mapping[str, FeaturesLike] | None = None,
-    schemes: SchemeLike | Mapping[str, SchemeLike] | None = None,
+    action_scheme: SchemeLike | Mapping[str, SchemeLike] | None = None,
     *,
     api: Api = "parallel",
 ) -> Any:
@@ -191,7 +191,7 @@ def encode(
         features: Name of built-in features, or user-defined ones: a subclass of `FeatureExtractor`, a function
             with `declare_size`, or text `module:name`; a mapping by agent if `env` has two agents;
             default: "giver" for the giver and "receiver" for the receiver.
-        schemes: Name of a built-in action scheme, or a user-defined one: a subclass of `ActionScheme`, a
+        action_scheme: Name of a built-in action scheme, or a user-defined one: a subclass of `ActionScheme`, a
             function with `declare_size`, or text `module:name`; a mapping by agent if `env` has two
             agents; default: "deviation" for the giver and "cartesian_delta" for the receiver.
         api: "parallel" for a PettingZoo environment, "gymnasium" for a Gymnasium environment, which
@@ -203,7 +203,7 @@ def encode(
             the receiver observes camera data without the state, or user-defined features or schemes declare no size.
         EncodingError: The constructor of user-defined features or of a user-defined scheme fails.
     """
-    return convert_api(EncodedEnv(env, features, schemes), api)
+    return convert_api(EncodedEnv(env, features, action_scheme), api)
 
 
 def make_no_outputs_error(agent: str) -> OptionError:

@@ -144,7 +144,7 @@ def _make_ppo(args: PpoArgs, agent: str, partner: str) -> tuple[PPO, VecMonitor]
         agent,
         partner,
         features=args.features,
-        schemes=args.actions,
+        action_scheme=args.actions,
         wrappers=[EpisodeReturns],
         autoreset="same_step",
         processes=min(args.resolved_num_envs, count_available_cores()),

@@ -186,10 +186,10 @@ def test_raw_observations_and_actions(
     [
         (
             "receiver",
-            {"partner": "cooperative", "features": "close", "schemes": "grasp_servo", "autoreset": "next_step"},
+            {"partner": "cooperative", "features": "close", "action_scheme": "grasp_servo", "autoreset": "next_step"},
         ),
-        ("giver", {"partner": "hold", "features": "giver", "schemes": "offer", "autoreset": "same_step"}),
-        (None, {"features": {"giver": "giver", "receiver": "grasp"}, "schemes": {"receiver": "joint_delta"}}),
+        ("giver", {"partner": "hold", "features": "giver", "action_scheme": "offer", "autoreset": "same_step"}),
+        (None, {"features": {"giver": "giver", "receiver": "grasp"}, "action_scheme": {"receiver": "joint_delta"}}),
     ],
     ids=str,
 )
@@ -197,7 +197,7 @@ def test_features_and_action_schemes(
     request: pytest.FixtureRequest, agent: str | None, options: dict[str, Any]
 ) -> None:
     # The receiver waits for ten cycles; an offer lasts a whole episode. Episodes end, and new ones start.
-    steps, max_cycles = (2, 12) if options.get("schemes") == "offer" else (8 if agent else 16, 13)
+    steps, max_cycles = (2, 12) if options.get("action_scheme") == "offer" else (8 if agent else 16, 13)
     compare(request, steps, agent, {**ENCODED, "max_cycles": max_cycles, **options})
 
 
@@ -208,7 +208,12 @@ def reward_height(transition: Transition) -> dict[str, dict[str, float]]:
 
 @pytest.mark.slow
 def test_user_defined_parts_act_on_the_host(request: pytest.FixtureRequest) -> None:
-    options = {"partner": "tired", "features": offset_to_object, "schemes": move_first_joint, "autoreset": "same_step"}
+    options = {
+        "partner": "tired",
+        "features": offset_to_object,
+        "action_scheme": move_first_joint,
+        "autoreset": "same_step",
+    }
     compare(request, 30, "receiver", {**SHORT, **options, "rewards": combine_rewards((0.5, reward_height), "sparse")})
 
 

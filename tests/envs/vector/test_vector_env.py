@@ -103,7 +103,7 @@ def test_equal_to_single_environments_to_the_bit(
 
     mode = gymnasium.vector.AutoresetMode[autoreset.upper()]
     expected = rollout(gymnasium.vector.SyncVectorEnv([make] * COUNT, autoreset_mode=mode), steps)
-    chosen = dict(zip(("features", "schemes"), encodings, strict=False))
+    chosen = dict(zip(("features", "action_scheme"), encodings, strict=False))
     together = handover_marl.vector_env(COUNT, agent, partner, autoreset=autoreset, threads=2, **chosen, **options)
     assert_equal(rollout(together, steps), expected)
     if steps == MORE_THAN_AN_EPISODE:
@@ -137,7 +137,7 @@ def test_the_interface_is_gymnasiums(autoreset: str) -> None:
 def test_whole_handovers_to_yang_are_equal_to_the_bit() -> None:
     """Steps of the giver that last a whole episode equal those of single environments, also after masked resets."""
     options = {**OPTIONS, "control_period": 0.1, "max_cycles": 80, "rewards": "shaped"}
-    encodings = {"features": "giver", "schemes": "offer"}
+    encodings = {"features": "giver", "action_scheme": "offer"}
     together = handover_marl.vector_env(2, "giver", "yang2021:wait=0.5", threads=1, **encodings, **options)
     live = [handover_marl.freeze(handover_marl.parallel_env(**options), "giver", "yang2021:wait=0.5") for _ in range(2)]
     alone = gymnasium.vector.SyncVectorEnv(
@@ -165,7 +165,7 @@ def test_the_next_episode_is_the_one_that_a_single_environment_draws() -> None:
     options = {**OPTIONS, "control_period": 0.2, "max_cycles": 14, "rewards": "shaped"}
     options["world_config"] = WorldConfig(initial_joint_noise=0.1)
     together = handover_marl.vector_env(
-        3, "receiver", "hesitant", features="close", schemes="grasp_servo", threads=1, **options
+        3, "receiver", "hesitant", features="close", action_scheme="grasp_servo", threads=1, **options
     )
     live = [handover_marl.freeze(handover_marl.parallel_env(**options), "receiver", "hesitant") for _ in range(3)]
     alone = gymnasium.vector.SyncVectorEnv(
@@ -196,7 +196,9 @@ def test_cameras_have_the_seeds_of_single_environments(monkeypatch: pytest.Monke
     monkeypatch.setattr(ArrayEpisodes, "start", lambda *values: (found.append(values[-1]), start(*values)))
     monkeypatch.setattr(Episode, "seed_camera", lambda self, seed: (expected.append(seed), seed_camera(self, seed)))
     options = {**OPTIONS, "control_period": 0.2}
-    together = handover_marl.vector_env(1, "receiver", features="close", schemes="grasp_servo", threads=1, **options)
+    together = handover_marl.vector_env(
+        1, "receiver", features="close", action_scheme="grasp_servo", threads=1, **options
+    )
     alone = handover_marl.parallel_env(**options)
     chosen = {"scene_id": together.scene_ids[4]}
     together.reset(seed=5)
@@ -269,7 +271,7 @@ def test_both_agents_in_a_batch(both: Callable[..., Any], autoreset: str) -> Non
 
 @pytest.mark.slow
 def test_processes_give_the_results_of_threads() -> None:
-    options = {**OPTIONS, "max_cycles": 18, "control_period": 0.13, "features": "close", "schemes": "grasp_servo"}
+    options = {**OPTIONS, "max_cycles": 18, "control_period": 0.13, "features": "close", "action_scheme": "grasp_servo"}
     options |= {"autoreset": "same_step"}
     expected = rollout(handover_marl.vector_env(3, "receiver", "noisy", threads=1, **options), 5)
     assert_equal(rollout(handover_marl.vector_env(3, "receiver", "noisy", processes=2, **options), 5), expected)

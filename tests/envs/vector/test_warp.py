@@ -79,10 +79,10 @@ def test_environments_can_be_stepped_in_the_inference_mode_of_a_collector() -> N
 @pytest.mark.parametrize(
     ("agent", "partner", "options"),
     [
-        ("receiver", "cooperative", {"features": "close_stack", "schemes": "cartesian_delta"}),
+        ("receiver", "cooperative", {"features": "close_stack", "action_scheme": "cartesian_delta"}),
         ("receiver", "noisy", {}),
         ("receiver", "replay", {"obs_mode": "state+scene_pointcloud"}),
-        ("giver", "yang2021", {"features": "giver", "schemes": "deviation"}),
+        ("giver", "yang2021", {"features": "giver", "action_scheme": "deviation"}),
     ],
 )
 def test_nothing_leaves_the_device_by_chance(agent: str, partner: str, options: dict[str, Any]) -> None:
@@ -189,7 +189,7 @@ def move(outputs: np.ndarray, observation: dict[str, Any]) -> np.ndarray:
         ({"camera_noise": "realsense"}, "camera_noise=None, got 'realsense'"),
         ({"renderer": "bullet"}, "the renderer 'rays', got 'bullet'"),
         ({"rewards": combine_rewards("sparse")}, "weights of the library's terms"),
-        ({"schemes": move, "features": count_points}, "a built-in action scheme"),
+        ({"action_scheme": move, "features": count_points}, "a built-in action scheme"),
         ({"agent": "giver", "partner": "vision", "obs_mode": "state"}, "a partner without a camera, got 'vision'"),
     ],
     ids=["full", "noise", "renderer", "rewards", "scheme", "partner"],
