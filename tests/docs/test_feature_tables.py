@@ -9,17 +9,14 @@ import pytest
 from gymnasium import spaces
 from scipy.spatial.transform import Rotation
 
-from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.observations import giver_observation_space, state_space
 from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
 from handover_marl.learning.features import list_features, make_features
 from handover_marl.learning.giver_schemes import HandoverPoseScheme
 from handover_marl.learning.schemes import list_schemes, make_scheme
-from handover_marl.receivers import make_policy_context
 from tests.docs.pages import REPOSITORY, checked_table, marks
-from tests.learning.grasps import select_grasp
+from tests.learning.array_encodings import CONTEXT, select_grasp
 
-CONTEXT = make_policy_context(SyntheticDataset())
 AGENTS = ("giver", "receiver")
 PAGE = REPOSITORY / "docs" / "reference" / "features.md"
 _RNG = np.random.default_rng(1)

@@ -1,4 +1,4 @@
-"""Random observations of many episodes, for tests of features and action schemes."""
+"""Random observations of many episodes, and the grasp of lowest cost, for tests of features and action schemes."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -6,8 +6,9 @@ from scipy.spatial.transform import Rotation
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.observations import Observation, giver_observation_space
 from handover_marl.learning.features import list_features
+from handover_marl.learning.grasp_selector import LowestCostGraspSelector
 from handover_marl.learning.schemes import list_schemes
-from handover_marl.policies.policy import make_policy_context
+from handover_marl.policies.policy import PolicyContext, make_policy_context
 from tests.givers.test_givers import START, seen
 
 CONTEXT = make_policy_context(SyntheticDataset())
@@ -43,3 +44,10 @@ def draw_observation(seed: int) -> Observation:
 AGENTS = ("giver", "receiver")
 FEATURES = [(agent, name) for agent in AGENTS for name in list_features(agent)]
 SCHEMES = [(agent, name) for agent in AGENTS for name in list_schemes(agent)]
+
+
+def select_grasp(context: PolicyContext, observation: Observation) -> tuple[np.ndarray, float] | None:
+    """Return the world pose (7,) of the hand link at the grasp and the clearance of the person's hand there (m)."""
+    batch = {key: values[None] for key, values in observation.items()}
+    grasps, clearances, exists = LowestCostGraspSelector(context, 1).select(np.array([0]), batch)
+    return (grasps[0], float(clearances[0])) if exists[0] else None

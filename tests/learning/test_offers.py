@@ -17,6 +17,7 @@ from handover_marl.learning.grasp_costs import MAX_CLEARANCE, load_validated_gra
 from handover_marl.learning.offers import (
     N_OFFER_FEATURES,
     OfferFeatures,
+    Vectors,
     compute_added_reaches,
     compute_offer_scores,
     compute_offered_poses,
@@ -44,6 +45,12 @@ def draw_observation(seed: int) -> Observation:
     joints = item[:3] + rng.uniform(0.02, 0.15, (16, 1)) * directions / np.linalg.norm(directions, axis=1)[:, None]
     poses = np.tile(item, (5, 1))
     return seen(object_poses=poses, replay_object_poses=poses, hand_keypoints=joints.astype(np.float32))
+
+
+def compute_features(observation: Observation, offers: Vectors) -> Vectors:
+    features = FEATURES(add_episode_axis(observation), offers)
+    assert features is not None
+    return features
 
 
 @given(seeds)
@@ -79,8 +86,7 @@ def quaternion(vector: np.ndarray) -> np.ndarray:
 def test_the_best_grasp_is_that_of_an_observation_of_the_offered_object(seed: int) -> None:
     """The hand moves with the object, so clearances are those of the present observation."""
     observation, offer = draw_observation(seed), draw_offers(np.random.default_rng(seed), 2, 0.5)[1:]
-    features = FEATURES(add_episode_axis(observation), offer)
-    assert features is not None
+    features = compute_features(observation, offer)
     (pose,) = compute_offered_poses(add_episode_axis(observation), offer)
     joints = transform_points(
         pose, inverse_transform_points(observation["object_poses"][0], observation["hand_keypoints"])
@@ -113,10 +119,8 @@ def test_offers_within_the_arms_reach_have_small_distances() -> None:
     found = []
     for pose in (near, far):
         poses = np.tile(pose, (5, 1))
-        one = add_episode_axis(observation | {"object_poses": poses, "replay_object_poses": poses})
-        features = FEATURES(one, offers)
-        assert features is not None
-        found.append(features[0, 13:19])
+        moved = observation | {"object_poses": poses, "replay_object_poses": poses}
+        found.append(compute_features(moved, offers)[0, 13:19])
     assert found[0][-1] == found[0][:5].min() < 0.1
     assert found[1][-1] == pytest.approx(3.0)
 
@@ -126,14 +130,12 @@ def test_grasps_that_may_not_hold_cost_more(monkeypatch: pytest.MonkeyPatch) -> 
     item = int(draw_observation(0)["object_classes"][0])
     validated = load_validated_grasps(CONTEXT, item)
     assert validated is not None
-    observation, offers = add_episode_axis(draw_observation(0)), draw_offers(np.random.default_rng(0), 3, 0.5)
+    observation, offers = draw_observation(0), draw_offers(np.random.default_rng(0), 3, 0.5)
     costs = np.zeros(len(validated[0]))
     monkeypatch.setattr("handover_marl.learning.offers.load_validated_grasps", lambda *_: (validated[0], costs))
-    firm = FEATURES(observation, offers)
+    firm = compute_features(observation, offers)
     costs[:] = 2.0
-    loose = FEATURES(observation, offers)
-    assert firm is not None
-    assert loose is not None
+    loose = compute_features(observation, offers)
     np.testing.assert_array_equal(firm[:, :19], loose[:, :19])
     np.testing.assert_allclose(loose[:, 28] - firm[:, 28], 0.2, atol=1e-5)
     np.testing.assert_allclose(loose[:, 31], 2.0)
@@ -141,8 +143,7 @@ def test_grasps_that_may_not_hold_cost_more(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_features_have_the_documented_number_and_end_with_the_offer() -> None:
     offers = draw_offers(np.random.default_rng(0), 5, 0.5)
-    features = FEATURES(add_episode_axis(draw_observation(0)), offers)
-    assert features is not None
+    features = compute_features(draw_observation(0), offers)
     assert features.shape == (5, N_OFFER_FEATURES)
     assert features.dtype == np.float32
     np.testing.assert_array_equal(features[:, 41:], offers)

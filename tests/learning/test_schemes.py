@@ -22,8 +22,8 @@ from handover_marl.learning.schemes import count_outputs, list_schemes, make_sch
 from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.receivers import WAITING_JOINTS, make_policy_context
 from tests.givers.test_givers import START, seen
+from tests.learning.array_encodings import select_grasp
 from tests.learning.custom import FirstJoint, OffsetAndCount, move_first_joint, offset_to_object
-from tests.learning.grasps import select_grasp
 
 CONTEXT = make_policy_context(SyntheticDataset())
 outputs = st.lists(st.floats(-1.0, 1.0), min_size=7, max_size=7).map(np.array)

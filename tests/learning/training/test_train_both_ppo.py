@@ -35,8 +35,8 @@ def test_a_training_writes_both_policies_and_repeats_from_its_seed(
     shorten_episodes(monkeypatch, 3000)
     small = {"num_envs": 4, "batch_size": 32, "epochs": 2, "minibatch_size": 16, "decisions": 64, "val_scenes": 0}
     written = []
-    for name, workers in (("a", 2), ("b", 2)):
-        args = train.Args(dataset="synthetic", critic=critic, out=tmp_path / name, workers=workers, **small)
+    for name in ("a", "b"):
+        args = train.Args(dataset="synthetic", critic=critic, out=tmp_path / name, **small)
         written.append([(train.main(args) / f"{agent}.npz").read_bytes() for agent in ("giver", "receiver")])
     assert written[0] == written[1]
     spec, network, _ = read_policy(tmp_path / "a" / "giver.npz", "giver")
