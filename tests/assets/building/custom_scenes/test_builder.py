@@ -113,7 +113,7 @@ def test_results_of_custom_scenes(scenes: CustomSceneFolder, tmp_path: Path, mon
         progress=False,
     )
     assert "data: own data: boxes" in report.heading
-    assert "all test, 1 of 3 scenes" in report.heading
+    assert "all val, 1 of 3 scenes" in report.heading
     assert "Own data: not comparable" in report.format_notes()
     # The path of the folder is passed, because results have only the data set's name.
     assert verify(tmp_path / "out", data_dir=scenes.folder, workers=1, progress=False).is_verified
