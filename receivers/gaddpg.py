@@ -46,7 +46,11 @@ Array = npt.NDArray[np.float64]
 #: Six points of the gripper (columns) in the hand link's frame (m), twice the wrist, then the
 #: fingers; they are the first columns of the network's input.
 GRIPPER_POINTS = np.array(
-    [[0.0, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.053, -0.053, 0.053, -0.053], [0.0, 0.0, 0.075, 0.075, 0.105, 0.105]]
+    [
+        [0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [0.0, 0.0, 0.053, -0.053, 0.053, -0.053],
+        [0.0, 0.0, 0.075, 0.075, 0.105, 0.105],
+    ]
 )
 
 
@@ -321,7 +325,11 @@ def _rotation_matrix(quaternion: Array) -> Array:
     xx, xy, xz = x * (x * scale), x * (y * scale), x * (z * scale)
     yy, yz, zz = y * (y * scale), y * (z * scale), z * (z * scale)
     return np.array(
-        [[1.0 - (yy + zz), xy - wz, xz + wy], [xy + wz, 1.0 - (xx + zz), yz - wx], [xz - wy, yz + wx, 1.0 - (xx + yy)]]
+        [
+            [1.0 - (yy + zz), xy - wz, xz + wy],
+            [xy + wz, 1.0 - (xx + zz), yz - wx],
+            [xz - wy, yz + wx, 1.0 - (xx + yy)],
+        ]
     )
 
 

@@ -82,19 +82,24 @@ class ActorCritic(nn.Module):
     """Gaussian policy whose standard deviation does not depend on the features, and a value function.
 
     Args:
-        n_inputs: Number of features.
-        n_outputs: Number of outputs of the policy.
-        stds: Initial standard deviations of the outputs.
+        n_inputs: Number of features that the policy observes, the first ones.
+        stds: Initial standard deviations of the policy's outputs.
         width: Width of the hidden layers of a new network.
         initial: Network with which the policy starts, with two hidden tanh layers; None: a new one.
+        n_features: Number of features that the value function observes; None: `n_inputs`.
     """
 
     def __init__(
-        self, n_inputs: int, n_outputs: int, stds: list[float], width: int, initial: DenseNetwork | None = None
+        self,
+        n_inputs: int,
+        stds: list[float],
+        width: int,
+        initial: DenseNetwork | None = None,
+        n_features: int | None = None,
     ) -> None:
         super().__init__()
-        width = width if initial is None else len(initial.biases[0])
-        self.actor, self.critic = make_mlp(n_inputs, n_outputs, width, 0.01), make_mlp(n_inputs, 1, width)
+        self._n_inputs, width = n_inputs, width if initial is None else len(initial.biases[0])
+        self.actor, self.critic = make_mlp(n_inputs, len(stds), width, 0.01), make_mlp(n_features or n_inputs, 1, width)
         self.normalization = None
         if initial is not None:
             self.normalization = initial.normalization
@@ -104,7 +109,7 @@ class ActorCritic(nn.Module):
         self.log_std = nn.Parameter(torch.tensor(stds).log())
 
     def compute_distribution(self, features: torch.Tensor) -> Normal:
-        return Normal(self.actor(self._normalize(features)), self.log_std.exp())
+        return Normal(self.actor(self._normalize(features[..., : self._n_inputs])), self.log_std.exp())
 
     def compute_value(self, features: torch.Tensor) -> torch.Tensor:
         values: torch.Tensor = self.critic(self._normalize(features))
@@ -234,7 +239,7 @@ def train(args: Args, initial: DenseNetwork | None = None) -> ActorCritic:
         # Random closing succeeds now and then, so the gripper's output is explored more than the motion.
         stds = [args.initial_std] * (n_outputs - 1) + [args.gripper_initial_std]
         initial = initial and initial.copy_to(make_tensor_factory(args.device))
-        model = ActorCritic(n_inputs, n_outputs, stds, args.width, initial).to(args.device)
+        model = ActorCritic(n_inputs, stds, args.width, initial).to(args.device)
         optimizer = torch.optim.Adam(model.parameters(), args.learning_rate)
         decisions, first_step = 0, time.monotonic()
         while decisions < args.decisions and time.monotonic() - started < 60.0 * args.minutes:

@@ -46,7 +46,7 @@ _LIMIT_PADDING, _ERROR_ROTATION_WEIGHT, MAX_REACH_DISTANCE = 0.03, 0.1, 0.3
 
 
 class GraspCosts:
-    """Measures of the grasps in r episodes, and their costs.
+    """Costs of the grasps of objects in r episodes, and the distances on which they depend.
 
     Args:
         context: Context of a policy, with the robot.
@@ -76,6 +76,14 @@ class GraspCosts:
         self._low = arrays.asarray(np.array(LOWER_LIMITS[:ARM_DOF]) + _LIMIT_PADDING)
         self._high = arrays.asarray(np.array(UPPER_LIMITS[:ARM_DOF]) - _LIMIT_PADDING)
 
+    def compute_motion_costs(self, grasps: AnyArray, gripper: AnyArray) -> AnyArray:
+        """Return the costs (r, g) in m of moving grippers (r, 7) to grasps (r, g, 7), both in the objects' frames."""
+        xp = self._xp
+        x, y, z, w = (grasps[..., 3 + axis] * gripper[:, None, 3 + axis] for axis in range(4))
+        angles = 2.0 * xp.acos(xp.abs(x + y + z + w).clip(None, 1.0))
+        x, y, z = (grasps[..., axis] - gripper[:, None, axis] for axis in range(3))
+        return xp.sqrt(x * x + y * y + z * z) + self.rotation_weight * angles
+
     def compute_clearance_costs(self, clearances: AnyArray) -> AnyArray:
         """Return the costs (...) in m of clearances (...) in m, see `compute_clearances`."""
         costs = self.clearance_weight * (self.desired_clearance - clearances).clip(0.0)
@@ -93,7 +101,7 @@ class GraspCosts:
         """
         xp = self._xp
         points = inverse_transform_points(poses[:, :, None], joints[:, None])
-        distances = [xp.min(compute_box_distances(points, center, half), axis=2) for center, half in self._boxes]
+        distances = [xp.min(_compute_box_distances(points, center, half), axis=2) for center, half in self._boxes]
         return (xp.minimum(*distances) - _FINGER_RADIUS).clip(None, MAX_CLEARANCE)
 
     def compute_reach_distances(self, poses: AnyArray, joints: AnyArray) -> AnyArray:
@@ -136,16 +144,7 @@ def load_validated_grasps(context: PolicyContext, object_class: int) -> tuple[Ar
     return np.concatenate([poses, compose(poses, np.array(HALF_TURN))]), np.concatenate([costs, costs])
 
 
-def compute_motion_costs(grasps: AnyArray, gripper: AnyArray) -> AnyArray:
-    """Return the costs (r, g) in m of moving grippers (r, 7) to grasps (r, g, 7), both in the objects' frames."""
-    xp = get_namespace(grasps)
-    x, y, z, w = (grasps[..., 3 + axis] * gripper[:, None, 3 + axis] for axis in range(4))
-    angles = 2.0 * xp.acos(xp.abs(x + y + z + w).clip(None, 1.0))
-    x, y, z = (grasps[..., axis] - gripper[:, None, axis] for axis in range(3))
-    return xp.sqrt(x * x + y * y + z * z) + GraspCosts.rotation_weight * angles
-
-
-def compute_box_distances(points: AnyArray, center: AnyArray, half_size: AnyArray) -> AnyArray:
+def _compute_box_distances(points: AnyArray, center: AnyArray, half_size: AnyArray) -> AnyArray:
     """Return the signed distances (...) in m of points (..., 3) from a box, negative inside."""
     xp = get_namespace(points)
     x, y, z = (xp.abs(points[..., axis] - center[axis]) - half_size[axis] for axis in range(3))

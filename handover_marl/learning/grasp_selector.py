@@ -11,7 +11,7 @@ from handover_marl.config import ARM_DOF
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, get_namespace, is_tensor, widen
 from handover_marl.geometry.poses import compose, inverse_transform_points, invert_pose
-from handover_marl.learning.grasp_costs import MAX_CLEARANCE, GraspCosts, compute_motion_costs, load_validated_grasps
+from handover_marl.learning.grasp_costs import MAX_CLEARANCE, GraspCosts, load_validated_grasps
 from handover_marl.policies.policy import PolicyContext
 from handover_marl.receivers.grasp_library import GraspTable
 
@@ -25,8 +25,9 @@ class LowestCostGraspSelector:
     Candidates are the validated grasps of the receiver `reactive`, tilted copies and half turns. The cost of a grasp
     (m) is the sum of: the distance of the gripper from it; the weighted angle between their orientations; the weighted
     cost of a grasp that may not hold; the weighted missing clearance to the person's hand, which is larger if the
-    gripper would touch the hand; and the weighted distance of the nearest pose that the arm can reach. Selections are
-    kept until the observation changes, since features and action schemes query the same ones.
+    gripper would touch the hand; and the weighted distance of the nearest pose that the arm can reach. The weights are
+    those of `GraspCosts`. Selections are kept until the observation changes, since features and action schemes query
+    the same ones.
 
     Args:
         context: Context of a policy, with the objects and their grasps.
@@ -102,7 +103,7 @@ class LowestCostGraspSelector:
         """
         xp, (poses, hold_costs) = self._arrays.xp, (array[index] for array in self._table.arrays)
         gripper = compose(invert_pose(objects), observation["gripper_pose"])
-        costs = compute_motion_costs(poses, gripper) + GraspCosts.hold_weight * hold_costs
+        costs = self._costs.compute_motion_costs(poses, gripper) + GraspCosts.hold_weight * hold_costs
         costs[~self._table.is_grasp[index]] = xp.inf
         poses, costs = _take_lowest(_N_CLEARANCES, costs, poses)
         joints = inverse_transform_points(objects[:, None], observation["hand_keypoints"])

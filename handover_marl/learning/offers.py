@@ -20,7 +20,6 @@ from handover_marl.learning.giver_schemes import HandoverPoseScheme
 from handover_marl.learning.grasp_costs import (
     MAX_REACH_DISTANCE,
     GraspCosts,
-    compute_motion_costs,
     load_validated_grasps,
 )
 from handover_marl.policies.policy import PolicyContext
@@ -77,7 +76,7 @@ def compute_added_reaches(observation: Observation, offers: Vectors) -> Array:
 
 
 class OfferFeatures:
-    """Features of the offers of one giver.
+    """Features of the offers of a giver, from which a network predicts their success.
 
     | features | meaning |
     |---|---|
@@ -113,17 +112,17 @@ class OfferFeatures:
         """
         object_class = int(observation["object_classes"][0, 0])
         sets = [load(self._context, object_class) for load in (_load_known_grasps, load_validated_grasps)]
-        objects, parts, hands = compute_offered_poses(observation, offers), [], []
+        objects, found = compute_offered_poses(observation, offers), []
         for grasps in sets:
             if grasps is None:
                 return None
-            numbers, chosen = self._compute_set(observation, objects, *grasps)
-            parts.append(numbers)
-            hands.append(compose(objects[:, None], chosen))
+            found.append(self._compute_set(observation, objects, *grasps))
+        hands = compose(objects[:, None], np.concatenate([chosen for _, chosen in found], axis=1))
         robots = np.repeat(observation["robot_joint_position"], len(offers), axis=0)
-        distances = self._costs.compute_reach_distances(np.concatenate(hands, axis=1), robots)
-        for place, reaches in enumerate(np.split(10.0 * distances.clip(None, MAX_REACH_DISTANCE), len(sets), axis=1)):
-            parts.insert(2 * place + 1, np.concatenate([reaches, reaches.min(axis=1, keepdims=True)], axis=1))
+        distances = 10.0 * self._costs.compute_reach_distances(hands, robots).clip(None, MAX_REACH_DISTANCE)
+        parts = []
+        for (numbers, _), reaches in zip(found, np.split(distances, len(sets), axis=1), strict=True):
+            parts += [numbers, reaches, reaches.min(axis=1, keepdims=True)]
         origins, _ = compute_handover_frames(observation)
         parts += [np.broadcast_to(origins, (len(offers), 3)), widen(offers)]
         return np.concatenate(parts, axis=1).astype(np.float32)
@@ -137,7 +136,8 @@ class OfferFeatures:
         """
         joints = inverse_transform_points(observation["object_poses"][:, :1], observation["hand_keypoints"])
         clearances = self._costs.compute_clearances(grasps[None], joints)[0]
-        motions = compute_motion_costs(grasps[None], compose(invert_pose(objects), observation["gripper_pose"]))
+        gripper = compose(invert_pose(objects), observation["gripper_pose"])
+        motions = self._costs.compute_motion_costs(grasps[None], gripper)
         costs = motions + GraspCosts.hold_weight * hold_costs + self._costs.compute_clearance_costs(clearances)
         nearest, order = (np.argsort(values, axis=1, kind="stable") for values in (motions, costs))
         free, rows = clearances >= GraspCosts.min_clearance, np.arange(len(objects))
@@ -161,7 +161,7 @@ def compute_offer_scores(outputs: AnyArray) -> AnyArray:
 
 @functools.lru_cache(maxsize=1024)
 def _load_known_grasps(context: PolicyContext, object_class: int) -> tuple[Array, Array] | None:
-    """Return poses (n, 7) of the hand link at a class's known grasps and half turns in its frame, and costs 0 (n,)."""
+    """Return poses (n, 7) of a class's known grasps and half turns in its frame, and their costs of the hold (n,), 0."""
     poses = load_hand_poses(context.grasps, context.object_names[object_class])
     if poses is None:
         return None

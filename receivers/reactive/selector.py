@@ -30,7 +30,11 @@ HOME = np.array(WAITING_JOINTS[:7])
 #: Configurations at which inverse kinematics starts: a greedy cover of what the arm reaches quickly
 #: from its waiting pose.
 IK_SEEDS = np.array(
-    [HOME, (-0.386, 0.559, 0.048, -2.175, -1.173, 1.994, 0.797), (0.276, 0.693, 0.397, -2.782, 1.358, 2.557, -0.02)]
+    [
+        HOME,
+        (-0.386, 0.559, 0.048, -2.175, -1.173, 1.994, 0.797),
+        (0.276, 0.693, 0.397, -2.782, 1.358, 2.557, -0.02),
+    ]
 )
 #: Further configurations that are used where none of `IK_SEEDS` has led to a grasp.
 FALLBACK_IK_SEEDS = np.array(

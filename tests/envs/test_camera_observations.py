@@ -191,7 +191,7 @@ def test_calibration_is_that_of_the_configuration() -> None:
 
 @pytest.mark.slow
 def test_late_images_show_an_earlier_step() -> None:
-    """With a random latency of up to 1 s, images after 0.1 s are those of one of the steps before."""
+    """Images after 0.1 s are those of an earlier step if the random latency is up to 1 s."""
     options: dict[str, Any] = {"dataset": "synthetic", "physics": "mujoco", "obs_mode": "depth", "cameras": SMALL[:1]}
     late, every = (
         handover_marl.parallel_env(camera_randomization=own, control_period=period, **options)

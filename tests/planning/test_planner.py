@@ -117,7 +117,7 @@ def test_goals_satisfy_all_limits(goals: GoalSet) -> None:
 
 
 def make_wall(x: float) -> Obstacle:
-    """Return a solid half space from x on, which contains the wrist at the standoff."""
+    """Return an obstacle that fills all space at x coordinates above `x` (m); the wrist at the standoff is in it."""
     corner = np.array([1.0, 1.0, 1.0])
     field = sample_distance_field(lambda points: x - points[:, 0], -corner, corner, 0.02)
     return Obstacle(field, np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]), 0.2)

@@ -118,11 +118,9 @@ class EnvFactory:
             env = apply_wrapper(wrapper, env)
         if self.agent is not None:
             env = freeze(env, self.agent, self.partner, trust=self.trust)
-        return (
-            env
-            if self.features is None and self.action_scheme is None
-            else encode(env, self.features, self.action_scheme)
-        )
+        if self.features is None and self.action_scheme is None:
+            return env
+        return encode(env, self.features, self.action_scheme)
 
     def _list_camera_faults(self) -> list[tuple[bool, str]]:
         """Return pairs: whether a requirement of cameras on a device is violated, and the requirement as text."""

@@ -91,7 +91,7 @@ def test_advantages_are_discounted_sums_of_errors(train: ModuleType) -> None:
 def test_updates_favor_actions_with_larger_advantages(train: ModuleType) -> None:
     torch.manual_seed(0)
     args = train.Args(epochs=20, minibatch_size=64, learning_rate=3e-3)
-    model = train.ActorCritic(3, 2, [0.15, 0.45], args.width)
+    model = train.ActorCritic(3, [0.15, 0.45], args.width)
     features = torch.randn(8, 32, 3)
     with torch.no_grad():
         policy = model.compute_distribution(features)

@@ -1,6 +1,6 @@
 """Train giver and receiver together with RLlib's PPO on its new API stack, with an RLModule for each agent.
 
-    python experiments/training/other_libraries/train_both_rllib.py --dataset synthetic --out runs/rllib
+    python experiments/training/train_both_rllib.py --dataset synthetic --out runs/rllib
 
 The script needs the extra `rllib`.
 """

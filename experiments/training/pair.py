@@ -1,4 +1,4 @@
-"""Arguments, environment and policy files of the scripts that train giver and receiver with other libraries."""
+"""Arguments, environment and policy files of the scripts `train_both_*.py`, which train giver and receiver together."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,7 +36,7 @@ def make_env(args: PairArgs) -> EncodedEnv:
 def write_pair(networks: dict[str, DenseNetwork], args: PairArgs, script: str) -> None:
     """Write the networks of a script as policy files, evaluate them on validation scenes, and print the outcomes."""
     for agent, network in networks.items():
-        origin = describe_origin(f"other_libraries/{script}", args)
+        origin = describe_origin(script, args)
         path = Path(args.out) / f"{agent}.npz"
         path.parent.mkdir(parents=True, exist_ok=True)
         write_policy(path, PolicySpec(agent, FEATURES[agent], SCHEMES[agent], args.control_period, origin), network)

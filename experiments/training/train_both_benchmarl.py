@@ -1,6 +1,6 @@
 """Train giver and receiver together with BenchMARL's MAPPO, whose critics observe the environment's state.
 
-    python experiments/training/other_libraries/train_both_benchmarl.py --dataset synthetic --out runs/benchmarl
+    python experiments/training/train_both_benchmarl.py --dataset synthetic --out runs/benchmarl
 
 Other algorithms of BenchMARL take the same task. The script needs the extra `benchmarl`.
 """

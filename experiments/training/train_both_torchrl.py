@@ -1,6 +1,6 @@
 """Train giver and receiver together with TorchRL by MAPPO: both critics observe the features of both agents.
 
-    python experiments/training/other_libraries/train_both_torchrl.py --dataset synthetic --out runs/torchrl
+    python experiments/training/train_both_torchrl.py --dataset synthetic --out runs/torchrl
 
 The loop follows TorchRL's multi-agent examples. It needs the extra `torchrl`.
 """
