@@ -2,9 +2,9 @@
 
 `replay` replays the recorded human; `hesitant`, `hurried`, `noisy`, `displaced`, `recording_spread`, `tired` and
 `interrupting` vary the recording. `adaptive`, `stop_when_near`, `cooperative`, `withdrawing` and `early_release` react
-to the robot. `population` acts as a randomly drawn giver of a population in each episode. `learned` is a trained
-policy, `learned:FILE` loads another one. User-defined givers are subclasses of `Giver`; packages register them by name
-in the entry-point group `handover_marl.givers`.
+to the robot. `population` acts as a randomly drawn giver of a population in each episode. `learned:FILE` is the
+network of a policy file. User-defined givers are subclasses of `Giver`; packages register them by name in the
+entry-point group `handover_marl.givers`.
 """
 
 from handover_marl.datasets import Dataset

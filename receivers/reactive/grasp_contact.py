@@ -5,7 +5,8 @@ the person releases it, even if the grasp has passed its validation.
 """
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -59,7 +60,6 @@ class GraspableObject:
     center: Array
 
 
-@functools.lru_cache(maxsize=64)
 def load_graspable_object(context: PolicyContext, object_name: str, config: ReactiveConfig) -> GraspableObject:
     """Load the surface of an object class and its validated grasps, of which there may be none; cached.
 
@@ -69,12 +69,21 @@ def load_graspable_object(context: PolicyContext, object_name: str, config: Reac
         SimulationError: A model cannot be loaded.
     """
     urdf, known = context.object_urdf(object_name), load_hand_poses(context.grasps, object_name)
+    if known is None:
+        return _load_graspable_object(urdf, context.panda_urdf, None, config)
+    if context.quick_validation and not has_validation_record(urdf, context.panda_urdf, known, config.preparation):
+        config = replace(config, preparation=QUICK_PREPARATION)
+    return _load_graspable_object(urdf, context.panda_urdf, known.tobytes(), config)
+
+
+# Environments have different contexts with the same objects, so the cache depends on files and grasps only.
+@functools.lru_cache(maxsize=256)
+def _load_graspable_object(
+    urdf: Path, panda_urdf: Path, known: bytes | None, config: ReactiveConfig
+) -> GraspableObject:
     grasps = ValidatedGrasps(np.zeros((0, 7)), np.zeros(0))
     if known is not None:
-        preparation = config.preparation
-        if context.quick_validation and not has_validation_record(urdf, context.panda_urdf, known, preparation):
-            preparation = QUICK_PREPARATION
-        grasps = validate_grasps(urdf, context.panda_urdf, known, preparation)
+        grasps = validate_grasps(urdf, panda_urdf, np.frombuffer(known).reshape(-1, 7), config.preparation)
     vertices, faces = read_collision_mesh(urdf)
     surface = sample_surface_spheres(vertices, faces, config.n_surface_spheres, config.surface_radius)
     points = collect_surface_points(vertices, faces, config.n_surface_points)

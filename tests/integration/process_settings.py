@@ -29,7 +29,7 @@ EPISODES = (
     ("mujoco", "reactive", "noisy"),
     ("exact", "gaddpg:wait=0.1", "withdrawing"),
     ("mujoco", "vision", "hesitant"),
-    ("mujoco", f"learned:{LEARNED}", "learned"),
+    ("mujoco", f"learned:{LEARNED}", "adaptive"),
     ("exact", "random", "recording_spread"),
 )
 

@@ -17,9 +17,9 @@ import handover_marl
 from handover_marl.datasets import open_dataset
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import DataNotFoundError, PolicyError, ResultsError
-from handover_marl.learning.adapters.function_policy import DEFAULT_GIVER_FILE
 from handover_marl.policies import hashing
 from handover_marl.policies.hashing import hash_object, hash_policy
+from handover_marl.policies.populations import POPULATION_FOLDER
 from handover_marl.policies.reference import PolicyBundle, parse_policy
 from handover_marl.receivers.baselines import HoldReceiver
 from handover_marl.version import __version__
@@ -195,7 +195,7 @@ def test_files_go_along(tmp_path: Path, folder: bool) -> None:
 
 def test_policy_files_go_along(tmp_path: Path) -> None:
     given = tmp_path / "mine.npz"
-    shutil.copy(DEFAULT_GIVER_FILE, given)
+    shutil.copy(POPULATION_FOLDER / "turning_final.npz", given)
     reference = parse_policy("giver", f"learned:{given}").resolve(SyntheticDataset())
     bundle = PolicyBundle.pack(reference)
     given.unlink()

@@ -20,13 +20,15 @@ from handover_marl.episode.observations import Observation
 from handover_marl.errors import DataNotFoundError, OptionError, PolicyError, UnknownNameError
 from handover_marl.givers import Action, Giver, make_giver_action
 from handover_marl.givers.variations import ReplayGiver
-from handover_marl.learning.adapters.function_policy import DEFAULT_GIVER_FILE, LearnedPolicy
+from handover_marl.learning.adapters.function_policy import LearnedPolicy
 from handover_marl.policies import registry
+from handover_marl.policies.populations import POPULATION_FOLDER
 from handover_marl.policies.reference import PolicyLike, PolicyReference, parse_policy, split_policy_list
 from handover_marl.receivers.baselines import HoldReceiver
 
 DATA = SyntheticDataset()
 HERE = __name__
+GIVER_FILE = POPULATION_FOLDER / "turning_final.npz"
 
 
 class Mine(Giver):
@@ -125,13 +127,14 @@ def test_registered_names_and_files(tmp_path: Path) -> None:
     assert parse_policy("receiver", "omg_hand_aware:wait=1.5").options == (("wait", 1.5),)
     assert parse_policy("receiver", ("omg:wait=1.5", {"wait": 2})).options == (("wait", 2),)
     odd = tmp_path / "a=1,b:control_period=9,x=2.npz"
-    odd.write_bytes(DEFAULT_GIVER_FILE.read_bytes())
-    for file in (DEFAULT_GIVER_FILE, odd):
+    odd.write_bytes(GIVER_FILE.read_bytes())
+    for file in (GIVER_FILE, odd):
         for policy in (f"learned:{file}", f"learned:{file}:control_period=0.1", (f"learned:{file}", {})):
             reference = parse_policy("giver", policy)
             assert reference.file == str(file)
             assert isinstance(reference.make(DATA), LearnedPolicy)
-    assert parse_policy("giver", "learned").file is None
+    with pytest.raises(OptionError, match="needs a policy file: learned:FILE"):
+        make("learned")
     with pytest.raises(DataNotFoundError, match=r"none\.npz"):
         make(f"learned:{tmp_path / 'none.npz'}")
 
@@ -155,9 +158,9 @@ def test_constructor_arguments() -> None:
         assert (made.whose, made.path, made.trust) == (agent, None, True)
         assert made.context.config is config
         assert made.context.panda_urdf == DATA.panda_urdf
-    with_file = parse_policy("giver", f"learned:{DEFAULT_GIVER_FILE}", trust=True)
+    with_file = parse_policy("giver", f"learned:{GIVER_FILE}", trust=True)
     assert with_file.trust
-    assert not parse_policy("giver", f"learned:{DEFAULT_GIVER_FILE}").trust
+    assert not parse_policy("giver", f"learned:{GIVER_FILE}").trust
 
 
 @pytest.mark.parametrize("name", ["agent", "context", "path", "trust", "self", "size"])
@@ -271,7 +274,7 @@ def test_labels() -> None:
     assert resolve(f"{HERE}:Mine").label == resolve(Mine).label == resolve(Mine()).label == "mine"
     assert resolve(f"{HERE}:Mine:word=x,speed=2").label == "mine:speed=2,word=x"
     assert resolve((Mine, {"word": "x", "speed": 2})).label == "mine:speed=2,word=x"
-    assert resolve(f"learned:{DEFAULT_GIVER_FILE}").label.startswith("learned:for_yang2021@")
+    assert resolve(f"learned:{GIVER_FILE}").label.startswith("learned:turning_final@")
 
 
 PACKAGE = {

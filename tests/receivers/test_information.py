@@ -4,6 +4,7 @@ Observations of one episode are changed row by row of the page's table: the acti
 the table says that it uses the row's information.
 """
 
+import functools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -226,7 +227,8 @@ def use_validation(monkeypatch: pytest.MonkeyPatch, rate: float) -> None:
         return ValidatedGrasps(known, np.where(np.arange(len(known)) % 2 == 0, rate, 1.0))
 
     monkeypatch.setattr(grasp_contact, "validate_grasps", validate)
-    grasp_contact.load_graspable_object.cache_clear()
+    load = grasp_contact._load_graspable_object.__wrapped__
+    monkeypatch.setattr(grasp_contact, "_load_graspable_object", functools.lru_cache(load))
 
 
 @pytest.mark.parametrize("name", RECEIVERS)

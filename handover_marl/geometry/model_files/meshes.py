@@ -55,9 +55,10 @@ def select_extreme_points(points: Array, limit: int) -> Array:
 
 def find_farthest_points(points: Array, count: int, first: int = 0) -> list[int]:
     """Return the indices of `count` of the points (n, d) by farthest point sampling, the first of which is `first`."""
+    coordinates = np.ascontiguousarray(points.T)  # NumPy sums along a short last axis slowly.
     chosen, distances = [first], np.full(len(points), np.inf)
     while len(chosen) < count:
-        distances = np.minimum(distances, np.linalg.norm(points - points[chosen[-1]], axis=1))
+        distances = np.minimum(distances, np.linalg.norm(coordinates - coordinates[:, chosen[-1:]], axis=0))
         # Of repeated points, each is taken once.
         distances[chosen[-1]] = -1.0
         chosen.append(int(np.argmax(distances)))

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-import handover_marl.givers
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import check_vector
 from handover_marl.errors import OptionError
@@ -195,17 +194,13 @@ def reset_function(function: object, seed: int | None) -> None:
         reset(seed=seed)
 
 
-#: Shipped giver, trained for the receiver `yang2021`.
-DEFAULT_GIVER_FILE = Path(handover_marl.givers.__file__).parent / "policies" / "for_yang2021.npz"
-
-
 class LearnedPolicy(FunctionPolicy):
-    """Policy that runs a trained network, `learned:FILE`; the giver `learned` runs the shipped file.
+    """Policy that runs the trained network of a policy file, `learned:FILE`.
 
     Args:
         agent: Agent that the policy controls, "giver" or "receiver".
         context: Robot, task and known grasps of the objects.
-        path: Policy file, see `handover_marl.learning.policy_files`; default: the shipped file of the giver.
+        path: Policy file, see `handover_marl.learning.policy_files`.
         trust: Whether code in the file may run, and modules that it names may be imported.
         control_period: Time between two decisions in training (s), for files that do not record it.
         wait: Time for which the robot stays at its waiting pose at the start of an episode (s);
@@ -216,7 +211,7 @@ class LearnedPolicy(FunctionPolicy):
         DataFormatError: The file is damaged or for another agent.
         UnsafeFileError: The file contains code, or names user-defined features or schemes (`module:name`),
             and is not trusted.
-        OptionError: A receiver has no file, an option does not fit the file, or the file is one of giver `adaptive`.
+        OptionError: The path is missing, an option does not fit the file, or the file is one of giver `adaptive`.
     """
 
     name = "learned"
@@ -230,14 +225,13 @@ class LearnedPolicy(FunctionPolicy):
         control_period: float | None = None,
         wait: float | None = None,
     ) -> None:
-        if path is None and agent != "giver":
+        if path is None:
             raise OptionError(f"{agent} 'learned' needs a policy file: learned:FILE, see experiments/")
-        file = DEFAULT_GIVER_FILE if path is None else Path(path).expanduser()
+        file = Path(path).expanduser()
         spec, network, file_label = read_policy(file, agent, trust, control_period=control_period)
         if spec.features == OFFER_FEATURES:
             raise OptionError(
                 f"weights of giver 'learned' must map observations to actions, got {file} of train_giver_offers.py; "
                 f"pass adaptive:weights={file}"
             )
-        label = self.name if path is None else f"{self.name}:{file_label}"
-        super().__init__(context, network, spec, self.name, label, wait=wait)
+        super().__init__(context, network, spec, self.name, f"{self.name}:{file_label}", wait=wait)
