@@ -94,7 +94,8 @@ class LowestCostGraspSelector:
     def _find_best(self, index: AnyArray, objects: AnyArray, observation: Observation) -> tuple[AnyArray, AnyArray]:
         """Return the best grasps (r, 7) in the objects' frames, and the clearances (r,) of the persons' hands there.
 
-        Clearances are computed for the grasps of lowest cost, and the reach for those of lowest cost then.
+        Clearances are computed for the grasps of lowest cost, and the reach for those of lowest cost then, as far as it
+        can change the choice.
 
         Args:
             index: Index (r,) of each object class in the table of grasps.
@@ -111,11 +112,21 @@ class LowestCostGraspSelector:
         clearances[observation["hand_present"][:, 0] == 0.0] = MAX_CLEARANCE
         costs = costs + self._costs.compute_clearance_costs(clearances)
         poses, clearances, costs = _take_lowest(_N_REACHES, costs, poses, clearances)
-        world = compose(objects[:, None], poses)
-        distances = self._costs.compute_reach_distances(world, observation["robot_joint_position"])
-        costs = costs + self._costs.compute_reach_costs(distances)
-        best, place = xp.argmin(costs, axis=1), self._arrays.arange(len(costs))
+        place, first = self._arrays.arange(len(costs)), xp.argmin(costs, axis=1)
+        robots = observation["robot_joint_position"]
+        lowest = costs[place, first] + self._compute_reach_costs(poses[place, first], objects, robots)
+        costs[place, first] = xp.inf
+        # The reach matters only for grasps that may still cost less than the first one.
+        rows, columns = xp.nonzero(costs <= lowest[:, None])
+        costs[rows, columns] += self._compute_reach_costs(poses[rows, columns], objects[rows], robots[rows])
+        costs[place, first] = lowest
+        best = xp.argmin(costs, axis=1)
         return poses[place, best], clearances[place, best]
+
+    def _compute_reach_costs(self, grasps: AnyArray, objects: AnyArray, robots: AnyArray) -> AnyArray:
+        """Return the costs (m,) of the reach of grasps (m, 7) of objects (m, 7) for robots with joints (m, 9)."""
+        distances = self._costs.compute_reach_distances(compose(objects, grasps)[:, None], robots)
+        return self._costs.compute_reach_costs(distances)[:, 0]
 
 
 def _take_lowest(count: int, costs: AnyArray, *arrays: AnyArray) -> tuple[AnyArray, ...]:
