@@ -258,7 +258,7 @@ def format_published_row(row: PublishedResult, setup: str, episodes: int) -> lis
 def select_evaluations(
     evaluations: Iterable[Evaluation], receivers: tuple[str, ...], dataset: str = "dexycb"
 ) -> list[Evaluation]:
-    """Return the evaluations of some receivers on one data set; raise `SystemExit` if their data differ."""
+    """Return receivers' evaluations on one data set; raise `SystemExit` if objects or models (`data`) differ."""
     chosen = [one for one in evaluations if one.name in receivers and one.dataset == dataset]
     if len({one.data for one in chosen}) > 1:
         raise SystemExit(f"evaluations of {receivers} are of different data: {sorted({one.data for one in chosen})}")

@@ -104,7 +104,7 @@ def main(args: Args) -> dict[tuple[str, str], npt.NDArray[np.bool_]]:
 
 
 def draw_figure(found: dict[tuple[str, str], npt.NDArray[np.bool_]], numbers: list[int], path: Path) -> None:
-    """Plot the success rate of the best of K draws over the numbers K, one curve for each receiver and quantity."""
+    """Plot the success of the best of K random offers against K, a curve for each receiver and quantity."""
     from matplotlib import pyplot as plt
 
     figure, axes = plt.subplots(figsize=(6.5, 4.0), layout="constrained")

@@ -48,7 +48,7 @@ class HandoverPoseVariation:
         self._min_distance[row], self._since[row] = math.inf, math.nan
 
     def update(self, rows: AnyIndices, observation: Observation) -> None:
-        """Update `scale` of the episodes `rows` (r,), in which the hand is at the handover pose, from observations."""
+        """Change `scale` in those of the episodes `rows` (r,) in which the gripper came no nearer for `timeout`."""
         xp, now, distance = self._xp, widen(observation["time"][:, 0]), compute_gripper_object_distances(observation)
         since, closest = self._since[rows], self._min_distance[rows]
         nearer = xp.isnan(since) | (distance < closest - self.min_approach)

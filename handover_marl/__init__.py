@@ -5,7 +5,7 @@ env = handover_marl.env(setup="s0", split="train")               PettingZoo AEC 
 env = handover_marl.freeze(env, "receiver", "replay")            one agent to control
 env = handover_marl.encode(env)                                  features and scaled outputs
 env = handover_marl.flatten(env)                                 vectors instead of dictionaries
-env = handover_marl.vector_env(64, "receiver", "replay")         many environments in one process
+env = handover_marl.vector_env(64, "receiver", "replay")         many environments at once
 env = gymnasium.make("HandoverMARL/Receiver-v0", setup="s0")     Gymnasium environment of the robot
 robot = handover_marl.as_receiver(network)                       function, network or file as a receiver
 report = handover_marl.benchmark(setup="s3")                     official protocol of HandoverSim
@@ -27,7 +27,7 @@ from handover_marl.version import __version__
 _NAMES = {
     "config": ("CAMERAS", "CameraConfig", "WorldConfig", "make_camera"),
     "envs.config": ("EnvConfig",),
-    "envs.constructors": ("benchmark_env", "env", "parallel_env"),
+    "envs.constructors": ("env", "parallel_env"),
     "envs.custom_rewards": ("combine_rewards", "declare_terms"),
     "envs.handover_env": ("HandoverEnv",),
     "envs.rewards": ("TermWeights",),
@@ -39,7 +39,7 @@ _NAMES = {
     "episode.camera_observations": ("CameraCapture",),
     "episode.referee": ("EpisodeStatus",),
     "evaluation.benchmark": ("benchmark", "evaluate_pair"),
-    "evaluation.comparison": ("compare", "compare_physics"),
+    "evaluation.comparison": ("compare",),
     "evaluation.config": ("EvaluationConfig", "ExecutionConfig"),
     "evaluation.crossplay": ("crossplay",),
     "evaluation.demonstrations.demonstration": ("Demonstrations",),

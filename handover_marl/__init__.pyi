@@ -5,7 +5,6 @@ from handover_marl.config import CameraConfig as CameraConfig
 from handover_marl.config import WorldConfig as WorldConfig
 from handover_marl.config import make_camera as make_camera
 from handover_marl.envs.config import EnvConfig as EnvConfig
-from handover_marl.envs.constructors import benchmark_env as benchmark_env
 from handover_marl.envs.constructors import env as env
 from handover_marl.envs.constructors import parallel_env as parallel_env
 from handover_marl.envs.custom_rewards import combine_rewards as combine_rewards
@@ -22,7 +21,6 @@ from handover_marl.episode.referee import EpisodeStatus as EpisodeStatus
 from handover_marl.evaluation.benchmark import benchmark as benchmark
 from handover_marl.evaluation.benchmark import evaluate_pair as evaluate_pair
 from handover_marl.evaluation.comparison import compare as compare
-from handover_marl.evaluation.comparison import compare_physics as compare_physics
 from handover_marl.evaluation.config import EvaluationConfig as EvaluationConfig
 from handover_marl.evaluation.config import ExecutionConfig as ExecutionConfig
 from handover_marl.evaluation.crossplay import crossplay as crossplay

@@ -110,7 +110,7 @@ class OmgReceiver(PhasedReceiver):
         self.has_planned, self.plan = False, None
 
     def act(self, observation: Observation) -> Action:
-        """Return the next nine target joint positions (rad, m)."""
+        """Return target joint positions (9,): arm (rad), fingers (m)."""
         self._now_ms = round(1000.0 * float(observation["time"][0]))
         elapsed = self._now_ms - self._wait_ms
         if elapsed < 0:

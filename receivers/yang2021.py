@@ -166,7 +166,7 @@ class Yang2021Receiver(Receiver):
         return float(self.get_hold_times(ONLY_ROW)[0])
 
     def act(self, observation: Observation) -> Action:
-        """Return the next nine target joint positions (rad, m)."""
+        """Return target joint positions (9,): arm (rad), fingers (m)."""
         action: Action = self.decide(ONLY_ROW, add_episode_axis(observation))[0]
         return action
 

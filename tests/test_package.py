@@ -42,7 +42,6 @@ def test_a_program_beside_a_folder_of_the_same_name_imports_the_library_and_litt
     [
         (handover_marl.benchmark, {"giver", "world_config", "inference_time"}),
         (handover_marl.evaluate_pair, set()),
-        (handover_marl.compare_physics, set()),
         (handover_marl.demonstrate, set()),
         (handover_marl.crossplay, {"giver", "receiver"}),
         (handover_marl.render_scene, {"setup", "split", "scenes"}),
@@ -85,5 +84,3 @@ def test_a_configuration_stands_alone() -> None:
     assert env.scene_ids == config.scenes == (5, 6)
     with pytest.raises(OptionError, match="not both"):
         handover_marl.parallel_env(config, split="val")
-    with pytest.raises(OptionError, match="prescribes physics"):
-        handover_marl.benchmark_env(physics="fast")

@@ -36,7 +36,6 @@ RESULTS += ["--split", "val", "--scenes", "9", "--workers", "1", "--out"]
 REFUSED: list[tuple[list[str], str]] = [
     (["benchmark", "--setup", "s3", "--receiver", "yang2021"], "take physics='mujoco' (--physics mujoco)"),
     (["benchmark", "--physics", "fast"], "take physics='mujoco' (--physics mujoco)"),
-    (["agreement", "--receiver", "hold"], "take physics='mujoco'"),
     (["render", "--scene", str(SCENE), "--physics", "mujoco", "--out", "video.gif"], "--out FILE.html"),
     (["import", "--dexycb", "here", "--mano", "here", "--out", "there"], "import with Python 3.10 to 3.13"),
 ]

@@ -1,1 +1,1 @@
-"""The generators of the shipped models; needs the extra `assets`."""
+"""Builders of grasps and of custom scenes; needs the extra `assets`."""

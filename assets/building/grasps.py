@@ -90,7 +90,7 @@ def build_human_grasps(out: Path = GRASPS_FILE) -> None:
 def make_human_grasps(
     name: str, solid: Solid, size: HandSize, side: Side, *seed: int
 ) -> dict[str, npt.NDArray[np.generic]]:
-    """Return 20 grasps of a YCB class by one hand, as arrays by their names in the file of `build_human_grasps`."""
+    """Draw 20 human grasps of a YCB object; return arrays (20, ...) by their names in the file of grasps."""
     random = RandomStream(*seed)
     grasps = draw_human_grasps(random, solid, _ANY_AXIS, size, side, **_SEARCH)
     if grasps is None:

@@ -18,7 +18,6 @@ from handover_marl.cli.options import (
     Folder,
     PopulationName,
     Progress,
-    ReferencesFile,
     SceneNumbers,
     TableArguments,
     Trust,
@@ -152,7 +151,6 @@ def run_convert(
 def run_strangers_table(
     folders: Annotated[tuple[str, ...], tyro.conf.arg(metavar="[NAME=]DIR"), tyro.conf.Positional],
     population: PopulationName = "strangers-v1",
-    references: ReferencesFile = None,
     heat_map: Annotated[str | None, tyro.conf.arg(metavar="FILE.png")] = None,
     trust: Trust = False,
     tables: TableArguments = _TABLES,
@@ -167,7 +165,7 @@ def run_strangers_table(
     from handover_marl.evaluation.strangers.protocol import make_leaderboard
 
     paths, names = _split_names(folders)
-    leaderboard = make_leaderboard(paths, population, references, names, trust)
+    leaderboard = make_leaderboard(paths, population, names, trust)
     if heat_map is not None:
         leaderboard.write_heat_map(check_path("heat_map", heat_map))
     print_tables(leaderboard, tables, f"Folders: {', '.join(folders)}")
@@ -182,26 +180,6 @@ def _split_names(folders: tuple[str, ...]) -> tuple[list[str], list[str] | None]
     if len(names) < len(folders) or "" in names:
         raise OptionError(f"folders must all have names, or none, got {' '.join(folders)}")
     return [folder for _, _, folder in named], names
-
-
-def run_strangers_references(
-    folders: _Folders,
-    population: PopulationName = "strangers-v1",
-    out: Annotated[str | None, tyro.conf.arg(metavar="FILE.json")] = None,
-    trust: Trust = False,
-    tables: TableArguments = _TABLES,
-) -> None:
-    """Update the best policies known for the partners of a population from result folders.
-
-    Args:
-        folders: Result folders, or folders that contain some.
-        out: File of references to update; default: the population's file.
-    """
-    from handover_marl.evaluation.strangers.protocol import update_references
-
-    table = update_references(folders, population, out, trust)
-    path = table.population.references_path if out is None else Path(out).expanduser()
-    print_tables(table, tables, f"References: {path}")
 
 
 def _check_path(out: str | None, suffix: str) -> Path | None:

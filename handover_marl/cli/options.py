@@ -11,6 +11,7 @@ from handover_marl.config import OFFICIAL_CONFIG, WorldConfig
 from handover_marl.episode.loop import InferenceTime
 from handover_marl.errors import OptionError
 from handover_marl.evaluation.config import REPLAY, EvaluationConfig, ExecutionConfig
+from handover_marl.simulation.engines import FAST
 
 _Value = TypeVar("_Value")
 # Field of a configuration without an option.
@@ -28,13 +29,6 @@ DataDir = Annotated[
 ]
 PopulationName = Annotated[
     str, tyro.conf.arg(metavar="NAME|FILE.json", help="Population of partners: a shipped one, or a file.")
-]
-ReferencesFile = Annotated[
-    str | None,
-    tyro.conf.arg(
-        metavar="FILE.json",
-        help="File of references, as `strangers-references` writes it; default: that of the population.",
-    ),
 ]
 Workers = Annotated[int | None, tyro.conf.arg(metavar="N", help="Number of worker processes; default: one per core.")]
 Progress = Annotated[bool, tyro.conf.arg(help="Show a progress bar on stderr.")]
@@ -94,6 +88,8 @@ class PairArguments(EvaluationConfig):
     data_dir: DataDir = None
     camera_noise: Annotated[str | None, tyro.conf.arg(metavar="CAMERA")] = None
     world_config: _Hidden[WorldConfig] = OFFICIAL_CONFIG
+    cameras: _Hidden[Any] = ()
+    camera_randomization: _Hidden[Any] = None
     giver: PolicyName = REPLAY
     receiver: PolicyName = "yang2021"
     initial_joint_noise: Annotated[float, tyro.conf.arg(metavar="RAD")] = 0.0
@@ -126,6 +122,14 @@ class SceneArguments(ReceiverArguments):
 
 
 @dataclass(frozen=True)
+class StrangersArguments(SceneArguments):
+    """Options of `strangers` that configure scenes and simulation."""
+
+    physics: str = FAST
+    inference_time: _Hidden[InferenceTime] = None
+
+
+@dataclass(frozen=True)
 class RenderArguments(PairArguments):
     """Options of `render` that configure the scene and the giver."""
 
@@ -146,3 +150,10 @@ class ExecutionArguments(ExecutionConfig):
     def make_config(self) -> ExecutionConfig:
         """Return the options as an `ExecutionConfig`, which checks them."""
         return ExecutionConfig(**{part.name: getattr(self, part.name) for part in fields(self)})
+
+
+@dataclass(frozen=True)
+class StrangersExecutionArguments(ExecutionArguments):
+    """Options of `strangers` that configure workers and output."""
+
+    shard: _Hidden[str | None] = None

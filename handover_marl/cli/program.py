@@ -17,11 +17,9 @@ A policy may also be your own class (my_package.robots:MyReceiver) and take opti
 _COMMANDS = (
     runs.run_benchmark,
     runs.run_pair,
-    runs.run_agreement,
     runs.run_crossplay,
     runs.run_strangers,
     folders.run_strangers_table,
-    folders.run_strangers_references,
     runs.run_demonstrate,
     folders.run_convert,
     runs.run_render,

@@ -11,9 +11,10 @@ from handover_marl.cli.options import (
     PopulationName,
     Progress,
     ReceiverArguments,
-    ReferencesFile,
     RenderArguments,
     SceneArguments,
+    StrangersArguments,
+    StrangersExecutionArguments,
     TableArguments,
     Trust,
 )
@@ -22,7 +23,7 @@ from handover_marl.errors import OptionError
 from handover_marl.evaluation.config import ExecutionConfig
 
 _EXECUTION, _VAL_PAIR, _VAL_SCENES = ExecutionArguments(), PairArguments(split="val"), SceneArguments(split="val")
-_TABLES = TableArguments()
+_STRANGERS, _STRANGERS_EXECUTION, _TABLES = StrangersArguments(), StrangersExecutionArguments(), TableArguments()
 # Fields of `EvaluationConfig` that apply to a single scene.
 _SCENE_FIELDS = (
     *("dataset", "data_dir", "physics", "robot", "renderer", "camera_model", "camera_noise", "seed", "giver"),
@@ -57,24 +58,6 @@ def run_pair(
     print_tables(report, tables, _describe_path(config, "report.html"))
 
 
-def run_agreement(
-    evaluation: PairArguments = _VAL_PAIR,
-    against: str = "fast",
-    execution: ExecutionArguments = _EXECUTION,
-    tables: TableArguments = _TABLES,
-) -> None:
-    """Compare outcomes of the same scenes in exact and in other physics.
-
-    Args:
-        against: Physics to compare with exact physics, fast or mujoco.
-    """
-    from handover_marl.evaluation.comparison import AGREEMENT_FILE, compare_physics
-
-    config = execution.make_config()
-    result = compare_physics(evaluation.make_config(), against=against, execution=config)
-    print_tables(result, tables, _describe_path(config, AGREEMENT_FILE))
-
-
 def run_crossplay(
     givers: _Names = "replay,cooperative,hesitant",
     receivers: _Names = "hold,yang2021",
@@ -103,9 +86,8 @@ def run_strangers(
     population: PopulationName = "strangers-v1",
     partners: Literal["train", "test", "all"] = "test",
     n_scenes: int = 36,
-    references: ReferencesFile = None,
-    evaluation: SceneArguments = SceneArguments(physics="fast"),
-    execution: ExecutionArguments = _EXECUTION,
+    evaluation: StrangersArguments = _STRANGERS,
+    execution: StrangersExecutionArguments = _STRANGERS_EXECUTION,
     tables: TableArguments = _TABLES,
 ) -> None:
     """Evaluate a receiver, or a giver, with unseen partners from a population.
@@ -127,7 +109,6 @@ def run_strangers(
         partners,
         n_scenes,
         evaluation.make_config(),
-        references=references,
         execution=config,
     )
     print_tables(report, tables, _describe_path(config, "strangers.md"))

@@ -1,23 +1,16 @@
 """Constructors of the handover environment for the APIs of PettingZoo and Gymnasium."""
 
-import dataclasses
 from typing import Any
 
 from pettingzoo import AECEnv
 from pettingzoo.utils.conversions import parallel_to_aec
 
-from handover_marl.envs.arguments import RECEIVER
 from handover_marl.envs.config import EnvConfig
 from handover_marl.envs.handover_env import HandoverEnv
-from handover_marl.envs.wrappers.freeze import FrozenPartnerEnv, freeze
+from handover_marl.envs.wrappers.freeze import freeze
 from handover_marl.envs.wrappers.wrapper import SingleAgentEnv
-from handover_marl.errors import OptionError
 from handover_marl.execution.options import forward_signature
 from handover_marl.policies.reference import PolicyLike
-
-# Fields that the benchmark does not fix; it prescribes physics, rules, horizon and camera.
-_BENCHMARK_FIELDS = {"setup", "split", "data_dir", "dataset", "control_period", "render_mode", "robot", "obs_mode"}
-_PRESCRIBED = tuple(field.name for field in dataclasses.fields(EnvConfig) if field.name not in _BENCHMARK_FIELDS)
 
 
 @forward_signature(EnvConfig)
@@ -58,21 +51,4 @@ def single_agent_env(
         fields: Fields of `handover_marl.envs.config.EnvConfig`, in place of `config`.
     """
     frozen: SingleAgentEnv = freeze(HandoverEnv(config, **fields), agent, partner, api="gymnasium", trust=trust)
-    return frozen
-
-
-@forward_signature(EnvConfig, without=_PRESCRIBED, defaults={"split": "test"})
-def benchmark_env(**fields: Any) -> FrozenPartnerEnv:
-    """Make the official benchmark task of a receiver: exact physics, official rules, replayed giver.
-
-    Args:
-        fields: Fields of `handover_marl.envs.config.EnvConfig` that the benchmark does not fix.
-
-    Raises:
-        OptionError: A field is prescribed by the benchmark.
-    """
-    fixed = [name for name in fields if name in _PRESCRIBED]
-    if fixed:
-        raise OptionError(f"benchmark_env() prescribes {', '.join(fixed)}; use parallel_env() and freeze()")
-    frozen: FrozenPartnerEnv = freeze(HandoverEnv(**{"split": "test", **fields}), RECEIVER, "replay")
     return frozen

@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from handover_marl.errors import OptionError, ResultsError
-from handover_marl.evaluation.comparison import AGREEMENT_FILE, Agreement
 from handover_marl.evaluation.crossplay import CROSSPLAY_CSV, CrossPlay, format_pair_folder
 from handover_marl.evaluation.demonstrations.demonstration import Demonstrations
 from handover_marl.evaluation.metadata import ResultMetadata, format_merged_config, read_result_metadata
@@ -23,21 +22,20 @@ from handover_marl.evaluation.results import (
 from handover_marl.execution.files import shorten_text, write_atomically
 from handover_marl.execution.options import check_path
 from handover_marl.execution.reading import read_plain_file, report_damage
-from handover_marl.simulation.engines import EXACT, PHYSICS
 
 _MAX_LISTED = 8  # missing scenes that an error lists
 
 
 def merge(
     folders: Sequence[str | os.PathLike[str]], out: str | os.PathLike[str]
-) -> Report | CrossPlay | Agreement | Demonstrations:
+) -> Report | CrossPlay | Demonstrations:
     """Merge the folders of all shards, parts of the scenes such as "3/16", into one folder of the whole evaluation.
 
     Nothing is simulated, and nothing is written unless all shards are complete.
 
     Args:
-        folders: Folders of the shards, in any order: of `benchmark`, `evaluate_pair`, `crossplay`,
-            `compare_physics` or `demonstrate`.
+        folders: Folders of the shards, in any order: of `benchmark`, `evaluate_pair`, `crossplay` or
+            `demonstrate`.
         out: Folder to create.
 
     Returns:
@@ -60,12 +58,6 @@ def merge(
         crossplay = CrossPlay(dict(zip(pairs, reports, strict=True)))
         crossplay.write(target)
         return crossplay
-    if any((path / AGREEMENT_FILE).exists() for path in paths):
-        others = [physics for physics in PHYSICS if physics != EXACT and (paths[0] / physics).is_dir()]
-        exact, other, *_ = _merge_subfolders(paths, target, (EXACT, *others))
-        agreement = Agreement(exact, other)
-        agreement.write(target)
-        return agreement
     (report,) = _merge_subfolders(paths, target, (".",))
     return Demonstrations(target) if (target / DEMONSTRATIONS).exists() else report
 

@@ -184,7 +184,7 @@ def render_plan(
         receiver: A receiver with a motion planner, such as "omg".
         giver: The person's policy, as in `evaluate_pair`.
         camera: Width and height of the image (pixels); its pose is not used.
-        options: `dataset`, `data_dir`, `physics`, `seed` and `trust`, see
+        options: `dataset`, `data_dir`, `physics`, `robot`, `seed`, `trust` and those of cameras, see
             `handover_marl.EvaluationConfig` and `handover_marl.ExecutionConfig`.
 
     Returns:

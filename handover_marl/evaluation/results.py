@@ -68,7 +68,7 @@ class EpisodeResult:
         plan_s: Wall-clock time spent in the receiver's policy (s).
         scene_id: Scene number, or None if unknown (results of HandoverSim's code).
         release_step: Physics step whose contacts made the giver release the object, or None.
-        object_name: YCB class of the object handed over, or None if unknown.
+        object_name: Class of the object handed over, or None if unknown.
         subject: Person recorded in the scene, or None if unknown.
         side: Hand that gives the object, "right" or "left", or None if unknown.
         n_objects: Number of objects on the table, or None if unknown.

@@ -214,7 +214,7 @@ class Giver(Policy):
 class Receiver(Policy):
     """Base class of receivers, policies of the robot.
 
-    User-defined receivers can be passed as a class, or registered in the entry-point group
+    User-defined receivers can be passed as a class or an instance, or registered in the entry-point group
     `handover_marl.receivers`.
     """
 

@@ -34,7 +34,7 @@ DEFAULT_POPULATION = "strangers-v1"
 #: Splits of a population by family, and all families.
 TRAIN, TEST, ALL = "train", "test", "all"
 
-_SUFFIX, _REFERENCES_SUFFIX = ".json", ".references.json"
+_SUFFIX = ".json"
 _FOLDER = "{folder}"
 _MAX_BYTES, _MAX_TEXT = 1_000_000, 1000
 
@@ -84,11 +84,6 @@ class Population:
     def label(self) -> str:
         """Name, version and hash, for reports."""
         return f"{self.name} {self.version} ({self.content_hash})"
-
-    @property
-    def references_path(self) -> Path:
-        """Path of the file with the reference scores of this population."""
-        return self.path.with_name(self.path.name.removesuffix(_SUFFIX) + _REFERENCES_SUFFIX)
 
     def get_policy(self, partner: Partner) -> str:
         """Return the text of a partner's policy, with the folder of this population in place of `{folder}`."""
@@ -165,7 +160,7 @@ def format_population(
 def list_populations() -> tuple[str, ...]:
     """List the names of the shipped populations."""
     files = POPULATION_FOLDER.glob(f"*{_SUFFIX}")
-    return tuple(sorted(file.stem for file in files if not file.name.endswith(_REFERENCES_SUFFIX)))
+    return tuple(sorted(file.stem for file in files))
 
 
 def _find_path(population: str | os.PathLike[str]) -> Path:

@@ -76,7 +76,7 @@ def load_graspable_object(context: PolicyContext, object_name: str, config: Reac
     return _load_graspable_object(urdf, context.panda_urdf, known.tobytes(), config)
 
 
-# Environments have different contexts with the same objects, so the cache depends on files and grasps only.
+# Environments with the same objects have different contexts.
 @functools.lru_cache(maxsize=256)
 def _load_graspable_object(
     urdf: Path, panda_urdf: Path, known: bytes | None, config: ReactiveConfig

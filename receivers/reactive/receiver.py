@@ -64,7 +64,7 @@ class ReactiveReceiver(ControllerReceiver):
         self.start_episode(self._scene)
 
     def act(self, observation: Observation) -> Action:
-        """Return the next nine target joint positions (rad, m)."""
+        """Return target joint positions (9,): arm (rad), fingers (m)."""
         scene, controller = require_reset(self._scene, self.name), require_reset(self.controller, self.name)
         scene.update(observation)
         if scene.object_name != self._object_name:

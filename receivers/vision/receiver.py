@@ -76,7 +76,7 @@ class VisionReceiver(ControllerReceiver):
         self.start_episode(self._scene)
 
     def act(self, observation: Observation) -> Action:
-        """Return the next nine target joint positions (rad, m)."""
+        """Return target joint positions (9,): arm (rad), fingers (m)."""
         scene, controller = require_reset(self._scene, self.name), require_reset(self.controller, self.name)
         if controller.is_grasping:
             # The camera cannot see what is between the fingers, and the selection is final.

@@ -45,7 +45,7 @@ def test_benchmark_and_evaluate(
         (["benchmark", "--data-dir", __file__], "test_cli.py is a file, not a folder"),
         (["verify", "/nowhere", "--columns", "count"], "unknown column 'count'; valid: scene id, value"),
         (["benchmark", "--receiver", "nobody"], "unknown receiver 'nobody'; valid: gaddpg, hold"),
-        (["agreement", "--physics", "nuclear", "--scenes", "1"], "scene 1 is not in s0 val"),
+        (["pair", "--physics", "nuclear"], "unknown physics 'nuclear'; valid: exact"),
         (["evaluate", "/nowhere"], "/nowhere does not exist"),
         (["benchmark", "--out", ""], "out must be a path, got '' (it is empty)"),
     ],

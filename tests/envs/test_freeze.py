@@ -43,7 +43,7 @@ def frozen(data: Path, agent: str = "receiver", partner: Any = None, **options: 
 
 @pytest.mark.slow
 def test_benchmark_view_equals_the_two_agent_world(fake_data: Path) -> None:
-    view = handover_marl.benchmark_env(split="val", data_dir=fake_data)
+    view = frozen(fake_data, "receiver", "replay", split="val")
     world = handover_marl.parallel_env(split="val", data_dir=fake_data)
     assert view.possible_agents == ["receiver"]
     mine, _ = view.reset(seed=1, options={"scene_id": 9})

@@ -228,6 +228,16 @@ def test_malformed_outputs_leave_the_world_alone(actions: Any) -> None:
     assert env.step({"receiver": np.zeros(7)})[4]["receiver"]["steps"] == 100
 
 
+@pytest.mark.parametrize("scheme", [{"receiver": "receiver", "giver": "giver"}, {}])
+def test_outputs_of_raw_schemes_are_actions_of_the_environment(scheme: dict[str, str]) -> None:
+    world = parallel_env(**SYNTHETIC)
+    env = encode(world, action_scheme=scheme)
+    for agent in world.possible_agents:
+        raw = world.action_space(agent)
+        assert (env.action_space(agent) == raw) == (agent in scheme)
+        assert not hasattr(raw, "encoding"), "the space of the environment is unchanged"
+
+
 def test_vectors_hold_all_that_dictionaries_show() -> None:
     pytest.importorskip("embreex", reason="needs the extra `vision`")
     world, plain = (parallel_env(**SYNTHETIC, obs_mode="state+rgbd") for _ in range(2))

@@ -143,13 +143,6 @@ def test_cross_play(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_agreement(tmp_path: Path) -> None:
-    options = {**OPTIONS, "scenes": SCENES[:2]}
-    del options["physics"]
-    merge_two(handover_marl.compare_physics, tmp_path, **options)
-
-
-@pytest.mark.slow
 def test_demonstrations(tmp_path: Path) -> None:
     merged = merge_two(record, tmp_path, giver="noisy")
     assert isinstance(merged, handover_marl.Demonstrations)

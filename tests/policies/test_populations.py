@@ -23,7 +23,6 @@ def test_own_file(tmp_path: Path) -> None:
     assert [partner.name for partner in found.select("giver", "test")] == ["fast", "slow"]
     assert [partner.name for partner in found.select("giver", "all")] == ["recorded", "fast", "slow"]
     assert [partner.policy for partner in found.select("receiver", "test")] == ["hold"]
-    assert found.references_path == tmp_path / "small.references.json"
 
 
 def test_the_hash_covers_the_content_and_policy_files(tmp_path: Path) -> None:

@@ -1,1 +1,1 @@
-"""Vector environments: many handover environments simulated together in one process."""
+"""Vector environments: many handover environments simulated together."""

@@ -78,7 +78,7 @@ class ArrayEnvs:
                 else:
                     self._current[row], self._free[row], self._next[row] = self._next[row], self._current[row], _NONE
             current = self.arrays.asarray(self._current[left])
-            while len(waiting := episodes.find_waiting(current)):
+            while len(waiting := episodes.find_without_outputs(current)):
                 episodes.clear_rewards(waiting)
                 episodes.advance(waiting, {})
             left = left[to_numpy(episodes.have_ended(current))]
@@ -106,10 +106,10 @@ class ArrayEnvs:
         episodes.clear_rewards(current)
         active = current
         while len(active):
-            coming = episodes.find_waiting(self.arrays.asarray(self._next[self._next != _NONE]))
+            coming = episodes.find_without_outputs(self.arrays.asarray(self._next[self._next != _NONE]))
             episodes.clear_rewards(coming)
             episodes.advance(self.arrays.xp.concat([active, coming]), actions)
-            active = episodes.find_waiting(active)
+            active = episodes.find_without_outputs(active)
         return episodes.make_result(current)
 
     def render(self) -> None:

@@ -99,7 +99,7 @@ class ArrayEpisodes:
         if len(wrong):
             row = to_numpy(values[wrong[0]])
             if agent in self._schemes:
-                check_vector(f"outputs of the {agent}", row, len(row), "within [-1, 1]")
+                check_vector(f"outputs of the {agent}", row, len(row), "as its action scheme decodes")
             elif agent == RECEIVER:
                 check_receiver_action(row)
             else:
@@ -139,8 +139,8 @@ class ArrayEpisodes:
         """Return for each of the episodes `rows` whether it has terminated or was truncated, (r,)."""
         return self._terminated[rows] | self._truncated[rows]
 
-    def find_waiting(self, rows: AnyIndices) -> AnyIndices:
-        """Return the indices in `rows` of running episodes whose action scheme needs no outputs now."""
+    def find_without_outputs(self, rows: AnyIndices) -> AnyIndices:
+        """Return those of `rows` whose episode runs, and whose next step needs no outputs of a network."""
         if len(self._agents) > 1 or not self._schemes:
             return rows[:0]
         (agent,) = self._agents

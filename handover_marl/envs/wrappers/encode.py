@@ -1,5 +1,6 @@
-"""Wrapper with feature vectors as observations and outputs in [-1, 1] as actions, for neural networks."""
+"""Wrapper with feature vectors as observations and network outputs as actions."""
 
+import copy
 from collections.abc import Mapping
 from typing import Any
 
@@ -22,6 +23,7 @@ from handover_marl.envs.wrappers.wrapper import (
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import check_vector, has_state
 from handover_marl.errors import OptionError, ResetNeededError
+from handover_marl.learning.action_scheme import RawScheme
 from handover_marl.learning.custom_encodings import FeaturesLike, SchemeLike, is_reference
 from handover_marl.learning.features import make_features
 from handover_marl.learning.schemes import make_scheme
@@ -78,14 +80,17 @@ class EncodedEnv(ParallelWrapper):
         self.choices = {agent: (chosen_features[agent], chosen_schemes[agent]) for agent in agents}
         self._features = {agent: make_features(agent, choice, context) for agent, choice in chosen_features.items()}
         self._schemes = {agent: make_scheme(agent, choice, context) for agent, choice in chosen_schemes.items()}
-        self._output_spaces = {
-            agent: spaces.Box(-1.0, 1.0, (made.size,), np.float32) for agent, made in self._schemes.items()
+        self._output_spaces: dict[str, Any] = {
+            agent: copy.deepcopy(env.action_space(agent))
+            if isinstance(made.scheme, RawScheme)
+            else spaces.Box(-1.0, 1.0, (made.size,), np.float32)
+            for agent, made in self._schemes.items()
         }
         for agent, outputs in self._output_spaces.items():
             # Libraries that save spaces with a policy save the encoding with them.
-            outputs.control_period = base.config.control_period  # type: ignore[attr-defined]
+            outputs.control_period = base.config.control_period
             names = {"features": self._features[agent].name, "actions": self._schemes[agent].name}
-            outputs.encoding = {"agent": agent, **names}  # type: ignore[attr-defined]
+            outputs.encoding = {"agent": agent, **names}
         self._observations: dict[str, Observation] = {}
 
     def observation_space(self, agent: str) -> spaces.Box:
@@ -93,8 +98,12 @@ class EncodedEnv(ParallelWrapper):
         return self._features[agent].space
 
     def action_space(self, agent: str) -> spaces.Box:
-        """Return the space of the agent's network outputs, a box from -1 to 1; its action scheme decodes them."""
-        return self._output_spaces[agent]
+        """Return the space of the network outputs that the agent's action scheme decodes.
+
+        It is a box from -1 to 1; of the schemes `giver` and `receiver` it is the action space of the environment.
+        """
+        space: spaces.Box = self._output_spaces[agent]
+        return space
 
     def convert_observation(self, agent: str, observation: Observation) -> Vector:
         """Compute the features (m,) of an agent's observation."""
@@ -150,7 +159,7 @@ class EncodedEnv(ParallelWrapper):
         given = actions if isinstance(actions, Mapping) else {}
         outputs = {
             agent: check_vector(
-                f"outputs of the {agent}", given.get(agent), self._schemes[agent].size, "within [-1, 1]"
+                f"outputs of the {agent}", given.get(agent), self._schemes[agent].size, "as its action scheme decodes"
             )
             for agent in self.agents
         }
@@ -184,7 +193,9 @@ def encode(
     *,
     api: Api = "parallel",
 ) -> Any:
-    """Return an environment whose observations are feature vectors and whose actions are outputs in [-1, 1].
+    """Return an environment whose observations are feature vectors and whose actions are outputs of a network.
+
+    Outputs are in [-1, 1], but for the action schemes `giver` and `receiver`, whose outputs are in physical units.
 
     Args:
         env: `handover_marl.parallel_env(...)`, or `freeze(...)` of it.

@@ -45,7 +45,7 @@ def count_status(episodes: Iterable[EpisodeResult], status: EpisodeStatus) -> in
 
 
 def get_scene_header(episodes: Iterable[EpisodeResult]) -> tuple[str, ...]:
-    """Return the titles of the cells of episodes: `SCENE_HEADER`, and two more if inference took simulated time."""
+    """Return the column titles of a table of episodes; with simulated inference time also those of its two metrics."""
     return SCENE_HEADER + (_INFERENCE_HEADER if any(episode.late_s is not None for episode in episodes) else ())
 
 

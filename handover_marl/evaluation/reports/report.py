@@ -95,7 +95,7 @@ class Report(TabularResult):
 
     @functools.cached_property
     def official_means(self) -> dict[str, Estimate]:
-        """Average success over all episodes (key AS, 0..1), and mean times over successes (exec_s, plan_s, total_s)."""
+        """`AS`: mean of 1 - exec / 13 s, 0 for failures; `exec_s`, `plan_s`, `total_s`: mean times of successes (s)."""
         times = [(each.steps * TIME_STEP, each.plan_s) for each in self.episodes if each.success]
         values = [[exec_s for exec_s, _ in times], [plan_s for _, plan_s in times], [sum(pair) for pair in times]]
         return {
@@ -188,7 +188,7 @@ class Report(TabularResult):
         if label := format_inference_time(self.metadata.inference_time):
             lines.append(f"Not comparable with official results: the person does not wait for the policy ({label}).")
         if self.metadata.physics != "exact":
-            lines.append("Official results use exact physics; compare the outcomes with handover-marl agreement.")
+            lines.append("Official results use exact physics; compare the outcomes with handover-marl compare.")
         if note := find_dataset_note(self.metadata.dataset):
             lines.append(note)
         comparable = find_published_results(self.metadata)

@@ -1,8 +1,7 @@
-"""Protocol of the evaluation with unseen partners, its leaderboard, and its reference scores."""
+"""Protocol of the evaluation with unseen partners, and its leaderboard."""
 
-import contextlib
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,31 +9,26 @@ from typing import Any
 import numpy as np
 
 from handover_marl.config import OFFICIAL_CONFIG
-from handover_marl.datasets import open_dataset
 from handover_marl.datasets.splits import select_scenes_evenly
 from handover_marl.errors import OptionError, ResultsError
 from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig, build_configs
 from handover_marl.evaluation.crossplay import crossplay, resolve_policies
-from handover_marl.evaluation.metadata import CONFIG_FILE, OFFICIAL_WORLD
-from handover_marl.evaluation.reports.report import Report, evaluate
-from handover_marl.evaluation.reports.tables import N_EPISODES, NO_VALUE, ReportTable, TabularResult
-from handover_marl.evaluation.strangers.references import Condition, Reference, ReferenceTable, load_references
+from handover_marl.evaluation.reports.tables import N_EPISODES, ReportTable, TabularResult
+from handover_marl.evaluation.strangers.condition import Condition
 from handover_marl.evaluation.strangers.report import (
     COLUMNS,
     ENTRY_FILE,
-    NO_REFERENCES_NOTE,
     NOTE,
     OTHER_AGENT,
-    PROXIMITY_NOTE,
     StrangersReport,
     read_entry,
     read_report,
 )
-from handover_marl.evaluation.strangers.scores import compute_mean, compute_proximity, estimate_difference
+from handover_marl.evaluation.strangers.scores import compute_mean, estimate_difference
 from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import check_path, forward_signature, require_modules
-from handover_marl.policies.populations import ALL, DEFAULT_POPULATION, Partner, Population, load_population
-from handover_marl.policies.reference import PolicyLike, parse_policy
+from handover_marl.policies.populations import DEFAULT_POPULATION, load_population
+from handover_marl.policies.reference import PolicyLike
 
 #: Number of scenes for each partner: 648 episodes with the 18 test givers of `strangers-v1`.
 DEFAULT_N_SCENES = 36
@@ -50,7 +44,6 @@ def strangers(
     n_scenes: int = DEFAULT_N_SCENES,
     setup: str | EvaluationConfig | None = None,
     split: str = "test",
-    references: str | os.PathLike[str] | None = None,
     execution: ExecutionConfig | None = None,
     **options: Any,
 ) -> StrangersReport:
@@ -66,7 +59,6 @@ def strangers(
         setup: Official setup, "s0" to "s3", or one of other data; or a whole `handover_marl.EvaluationConfig`, whose
             policies are ignored.
         split: Split of the scenes, "train", "val" or "test".
-        references: File of references, as `strangers-references` writes it; default: the population's file.
         execution: Execution settings. The output folder gets a result folder for each pair, the files of `crossplay`,
             `strangers.md` and `strangers.json`; an interrupted evaluation resumes there.
         options: Fields of `handover_marl.EvaluationConfig` and `handover_marl.ExecutionConfig`; the default of
@@ -99,7 +91,6 @@ def strangers(
     if config.scenes is None:
         scenes = dataset.list_scenes(dataset.resolve_setup(config.setup), config.split)
         config = replace(config, scenes=select_scenes_evenly(scenes, n_scenes))
-    table = load_references(found, references)
     folder = execution.folder
     if folder is not None and not execution.fresh and (folder / ENTRY_FILE).is_file():
         entry = read_entry(folder)
@@ -121,80 +112,9 @@ def strangers(
         for partner, label in zip(chosen, labels, strict=True)
     }
     report = StrangersReport(found.label, partners, agent, names, chosen, reports)
-    report = replace(report, references=table.find_all(report.condition, [each.name for each in chosen]))
     if folder is not None:
         report.write(folder)
     return report
-
-
-def update_references(
-    folders: Iterable[str | os.PathLike[str]],
-    population: str | os.PathLike[str] = DEFAULT_POPULATION,
-    out: str | os.PathLike[str] | None = None,
-    trust: bool = False,
-) -> ReferenceTable:
-    """Update the reference of each partner, the best policy known, from result folders; write and return the table.
-
-    Args:
-        folders: Result folders, or folders that contain some, such as those of `strangers` and `crossplay`. Pairs
-            without a partner of the population are ignored. In a folder of `strangers`, only the evaluated
-            policy can become a reference; in other folders, giver and receiver can.
-        population: Name of a shipped population, or path of a file.
-        out: File of references to update; default: the population's file.
-        trust: Whether modules that the population names may be imported, and code in policy files may run.
-
-    Raises:
-        ResultsError: A folder has no result, or the file cannot be written.
-        HandoverError: The population or its references cannot be read.
-    """
-    found = load_population(population, trust)
-    path = found.references_path if out is None else check_path("out", out)
-    table = load_references(found, out, is_new=True)
-    labels = {"giver": _list_labels(found, "giver", trust), "receiver": _list_labels(found, "receiver", trust)}
-    for folder in folders:
-        parent = check_path("folder", folder)
-        results = sorted(file.parent for file in parent.rglob(CONFIG_FILE))
-        if not results:
-            raise ResultsError(f"{parent} must contain result folders, got none with {CONFIG_FILE}")
-        for result in results:
-            report = evaluate(result)
-            is_entry = (result.parent / ENTRY_FILE).is_file()
-            for agent in (read_entry(result.parent)["agent"],) if is_entry else OTHER_AGENT:
-                partner = labels[OTHER_AGENT[agent]].get(getattr(report.metadata, OTHER_AGENT[agent]))
-                if partner is not None and report.metadata.world == OFFICIAL_WORLD:
-                    reference = _make_reference(agent, report, partner.policy)
-                    table = table.update(Condition.from_report(agent, report), partner.name, reference)
-    write_atomically(path, table.to_json())
-    return table
-
-
-def _make_reference(agent: str, report: Report, partner_policy: str) -> Reference:
-    """Return the policy of `agent` in a report as a reference, with a command that evaluates it with a partner."""
-    metadata = report.metadata
-    policy, names = getattr(metadata, agent), ("dataset", "setup", "split", "physics", "robot", "seed")
-    policies = {"giver": metadata.giver, "receiver": metadata.receiver} | {OTHER_AGENT[agent]: partner_policy}
-    options = {**policies, **{name: getattr(metadata, name) for name in names}}
-    options["scenes"] = ",".join(str(episode.scene_id) for episode in report.episodes)
-    return Reference(
-        policy,
-        version=f"{metadata.version} {getattr(metadata, f'{agent}_hash')}".strip(),
-        command=f"handover-marl pair {' '.join(f'--{name} {value}' for name, value in options.items())}",
-        scores=tuple(episode.speed_score for episode in report.episodes),
-    )
-
-
-def _list_labels(population: Population, agent: str, trust: bool) -> dict[str, Partner]:
-    """Return the givers or receivers of a population by the label that they have in result folders.
-
-    Partners that cannot be made here, for example for lack of an optional package, are left out.
-    """
-    # Labels do not depend on the data set.
-    dataset = open_dataset("synthetic")
-    labels: dict[str, Partner] = {}
-    for partner in population.select(agent, ALL):
-        with contextlib.suppress(OptionError):
-            labels[parse_policy(agent, population.get_policy(partner), trust).resolve(dataset).label] = partner
-    return labels
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,16 +163,13 @@ class Leaderboard(TabularResult):
     def build_sections(self) -> list[str | ReportTable]:
         """Build heading, tables (scores, differences to the first method, success by family) and notes."""
         first = self.reports[0]
-        known = [report.references is not None for report in self.reports]
-        notes = [NOTE, "Differences are paired by partner and scene."]
-        notes += [PROXIMITY_NOTE] * any(known) + [NO_REFERENCES_NOTE] * (not all(known))
         return [
             f"{len(first.partners)} partners of {first.population}, families of {first.partner_split}; "
             f"{self._describe_conditions()}.",
             self._build_scores(),
             self._build_differences(),
             self._build_families(),
-            " ".join(notes),
+            f"{NOTE} Differences are paired by partner and scene.",
         ]
 
     def _describe_conditions(self) -> str:
@@ -269,7 +186,7 @@ class Leaderboard(TabularResult):
         rows = []
         for name, report in zip(self.names, self.reports, strict=True):
             found, metadata = report.estimate_all(), report.first_report.metadata
-            cells = [found[key].format() if key in found else NO_VALUE for key in COLUMNS]
+            cells = [found[key].format() for key in COLUMNS]
             rows.append([name, metadata.split, len(report.policies), metadata.robot, *cells, report.scores.size])
         header = ["method", "split", "trainings", "robot", *COLUMNS.values(), N_EPISODES.title]
         return ReportTable(header, rows, n_keys=2)
@@ -282,11 +199,9 @@ class Leaderboard(TabularResult):
                 two, families = self.reports[other], one.partner_families
                 arrays = [(one.successes, two.successes), (one.contacts, two.contacts), (one.scores, two.scores)]
                 found = [estimate_difference(compute_mean, *each, families) for each in arrays]
-                if one.best_scores is not None and not (one.is_reference or two.is_reference):
-                    found.append(estimate_difference(compute_proximity, *arrays[-1], families, one.best_scores))
-                cells = [*(each.format("+.1f") for each in found), *[NO_VALUE] * (4 - len(found))]
+                cells = [each.format("+.1f") for each in found]
                 rows.append([self.names[first], self.names[other], split, *cells])
-        titles = ["success, points", "contact, points", "AS, points", "BR-Prox, points"]
+        titles = ["success, points", "contact, points", "AS, points"]
         return ReportTable(["method", "minus", "split", *titles], rows, n_keys=3)
 
     def _build_families(self) -> ReportTable:
@@ -300,7 +215,6 @@ class Leaderboard(TabularResult):
 def make_leaderboard(
     folders: Sequence[str | os.PathLike[str]],
     population: str | os.PathLike[str] = DEFAULT_POPULATION,
-    references: str | os.PathLike[str] | None = None,
     names: Sequence[str] | None = None,
     trust: bool = False,
 ) -> Leaderboard:
@@ -312,7 +226,6 @@ def make_leaderboard(
         folders: Output folders of `strangers` with the same partners, data and simulation, and in each split the same
             scenes.
         population: Population of the evaluations: name of a shipped one, or path of a file.
-        references: File of references; default: the population's file.
         names: Name of the method of every folder; default: the labels of its policies.
         trust: Whether modules that the population names may be imported, and code in policy files may run.
 
@@ -320,7 +233,6 @@ def make_leaderboard(
         OptionError: There is no folder, a method has two folders of a split, or the folders are of another population.
         ResultsError: A folder is not a finished evaluation, or the evaluations differ in partners, scenes, data, seed
             or simulation.
-        DataNotFoundError: The file of references does not exist.
     """
     if not folders:
         raise OptionError("folders must name at least one folder of handover-marl strangers, got none")
@@ -328,9 +240,6 @@ def make_leaderboard(
     reports = [read_report(path, found) for path in paths]
     methods = [", ".join(report.policies) for report in reports] if names is None else names
     _check_comparable(paths, methods, reports)
-    partners = [partner.name for partner in reports[0].partners]
-    table = load_references(found, references)
-    reports = [replace(each, references=table.find_all(each.condition, partners)) for each in reports]
     # Methods are sorted by their AS on the split of the first folder; each method's splits follow one another.
     splits = [*dict.fromkeys(report.condition.split for report in reports)]
     rows = list(zip(methods, reports, strict=True))

@@ -31,14 +31,11 @@ from handover_marl.evaluation.reports.tables import (
     format_percent_rate,
 )
 from handover_marl.evaluation.results import EpisodeResult
-from handover_marl.evaluation.strangers.references import Condition, Reference
+from handover_marl.evaluation.strangers.condition import Condition
 from handover_marl.evaluation.strangers.scores import (
-    Statistic,
     compute_max_over_partners,
     compute_mean,
     compute_min_over_partners,
-    compute_proximity,
-    compute_worst_proximity,
     estimate,
     estimate_rate,
 )
@@ -58,7 +55,6 @@ COLUMNS = {
     "success": "success %",
     "contact": "contact %",
     AVERAGE_SUCCESS.key: AVERAGE_SUCCESS.title,
-    "br_prox": "BR-Prox %",
     "worst_partner_success": "worst success %",
     "largest_partner_contact": "largest contact %",
 }
@@ -67,15 +63,6 @@ NOTE = (
     "Success, contact and AS: means over partners, scenes and policies. 95 % intervals: jackknife over policies, "
     "families and scenes, in a single family over its partners; for the worst and the largest value over policies and "
     "scenes; those of rates are at least as wide as Wilson's. By partner: Wilson and bootstrap."
-)
-PROXIMITY_NOTE = (
-    "BR-Prox: AS divided by the AS of the best policy known for the partner on these scenes, interquartile mean over "
-    "partners and policies; without an interval for a method that is itself the best known with a partner."
-)
-NO_REFERENCES_NOTE = (
-    "No BR-Prox: a partner has no reference for this version, physics, seed, scenes and data (hash, models, number of "
-    "objects). Search best responses on these scenes (experiments/strangers/search_best_responses.py) and pass them to "
-    "handover-marl strangers-references."
 )
 
 
@@ -90,7 +77,6 @@ class StrangersReport(TabularResult):
         policies: Labels of the evaluated policies, several trainings of one method.
         partners: Partners with whom every policy was evaluated.
         reports: Report of every (label of the policy, name of the partner).
-        references: Best policy known for each partner on these scenes, or None if a partner has none.
     """
 
     population: str
@@ -99,7 +85,6 @@ class StrangersReport(TabularResult):
     policies: tuple[str, ...]
     partners: tuple[Partner, ...]
     reports: dict[tuple[str, str], Report]
-    references: tuple[Reference, ...] | None = None
 
     @property
     def first_report(self) -> Report:
@@ -116,16 +101,6 @@ class StrangersReport(TabularResult):
         """Indices in `partners` of the members of each family, by family."""
         names = self.partner_families
         return {family: [number for number, name in enumerate(names) if name == family] for family in names}
-
-    @property
-    def best_scores(self) -> Array | None:
-        """Average-success scores (partners, scenes), 0 to 1, of the references, or None if a partner has none."""
-        return None if self.references is None else np.array([reference.scores for reference in self.references])
-
-    @property
-    def is_reference(self) -> bool:
-        """Whether an evaluated policy is itself the best known for a partner; its BR-Prox is then 1 by definition."""
-        return any(reference.policy in self.policies for reference in self.references or ())
 
     @property
     def condition(self) -> Condition:
@@ -160,15 +135,11 @@ class StrangersReport(TabularResult):
         )  # fmt: skip
 
     def estimate_all(self) -> dict[str, Estimate]:
-        """Return estimates (0..1) of success, contact, AS, BR-Prox (with references) and worst partner, by key."""
-        found = self._estimate_means(range(len(self.partners))) | {
+        """Return estimates (0..1) of success, contact, AS and worst partner, by key."""
+        return self._estimate_means(range(len(self.partners))) | {
             "worst_partner_success": estimate_rate(compute_min_over_partners, self.successes, None),
             "largest_partner_contact": estimate_rate(compute_max_over_partners, self.contacts, None),
         }
-        if self.best_scores is not None:
-            found["br_prox"] = self._estimate_proximity(compute_proximity, self.partner_families, self.best_scores)
-            found["worst_br_prox"] = self._estimate_proximity(compute_worst_proximity, None, self.best_scores)
-        return found
 
     def _estimate_means(self, chosen: Sequence[int]) -> dict[str, Estimate]:
         """Return estimates of success, contact and AS over the partners with the indices `chosen`, by key."""
@@ -181,10 +152,6 @@ class StrangersReport(TabularResult):
             # Without a success the jackknife has no width, as in `estimate_average_success`.
             AVERAGE_SUCCESS.key: score if score.mean else replace(score, interval_95=success.interval_95),
         }
-
-    def _estimate_proximity(self, statistic: Statistic, families: Sequence[str] | None, references: Array) -> Estimate:
-        found = estimate(statistic, self.scores, families, references)
-        return replace(found, interval_95=None) if self.is_reference else found
 
     def find_worst_partner(self) -> Partner:
         """Return the partner with the smallest success rate; of several the one with the smallest AS."""
@@ -202,12 +169,12 @@ class StrangersReport(TabularResult):
             self._build_summary(),
             self._build_family_table(),
             self._build_partner_table(),
-            f"{NOTE} {NO_REFERENCES_NOTE if self.references is None else PROXIMITY_NOTE}",
+            NOTE,
         ]
 
     def _build_summary(self) -> ReportTable:
         worst = f"success % with the worst partner ({self.find_worst_partner().name})"
-        titles = {**COLUMNS, "worst_partner_success": worst, "worst_br_prox": "BR-Prox % with the worst partner"}
+        titles = {**COLUMNS, "worst_partner_success": worst}
         titles["largest_partner_contact"] = "contact % with the partner with most contacts"
         found = self.estimate_all()
         rows = [[title, found[key].format()] for key, title in titles.items() if key in found]
@@ -228,14 +195,10 @@ class StrangersReport(TabularResult):
             counts = [int(flags[:, number].sum()) for flags in (self.successes, self.contacts)]
             cells = [format_percent_rate(count, n) for count in counts]
             cells.append(estimate_average_success([each.speed_score for each in episodes]).format(".2f", ".1f"))
-            if self.references is not None:
-                best = np.array([self.references[number].mean])
-                cells.append(f"{100 * compute_proximity(self.scores[:, [number]].mean(axis=-1), best):.0f}")
             metrics = [(column.scale, means[column.key].mean if means else None) for column in _METRIC_COLUMNS]
             forces = [NO_VALUE if mean is None else f"{scale * mean:.3g}" for scale, mean in metrics]
             rows.append([partner.name, partner.family, *cells, *forces, n])
         header = ["partner", "family", "success %", "contact %", "AS %"]
-        header += [] if self.references is None else ["BR-Prox %"]
         return ReportTable([*header, *(column.title for column in _METRIC_COLUMNS), N_EPISODES.title], rows, n_keys=2)
 
     def write(self, folder: Path) -> None:
@@ -275,7 +238,7 @@ def read_entry(folder: Path) -> dict[str, Any]:
 
 
 def read_report(folder: Path, population: Population) -> StrangersReport:
-    """Compute the report of a folder from its result folders, without scores of best responses (BR-Prox).
+    """Compute the report of a folder from its result folders.
 
     Every value is computed from the results of the episodes; `strangers.json` only lists them.
 

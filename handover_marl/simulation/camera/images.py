@@ -24,7 +24,7 @@ class CameraImage:
     """Depth image, segmentation mask and colours of a camera of h x w pixels.
 
     Attributes:
-        depth: (h, w) float32 depth along the viewing axis (m); `EMPTY_DEPTH`, just under 2 m, for background.
+        depth: (h, w) float32 depth along the viewing axis (m); `Pinhole.empty_depth` for background.
         segmentation: (h, w) uint8 values of `SegmentationLabel`.
         rgb: (h, w, 3) uint8 colours, or None.
     """

@@ -9,7 +9,7 @@ import pytest
 
 import handover_marl
 from handover_marl.cli import main
-from handover_marl.evaluation.comparison import Agreement, Comparison
+from handover_marl.evaluation.comparison import Comparison
 from handover_marl.evaluation.crossplay import CrossPlay
 from handover_marl.evaluation.reports.tables import (
     TABLE_FORMATS,
@@ -34,11 +34,10 @@ def test_parts_of_a_wide_table_repeat_its_key_columns() -> None:
         assert max(map(len, part.splitlines())) <= 100
 
 
-@pytest.mark.parametrize("kind", ["report", "comparison", "agreement", "crossplay"])
+@pytest.mark.parametrize("kind", ["report", "comparison", "crossplay"])
 def test_every_result_has_every_format(kind: str) -> None:
     first, other = report(1, 2), report(2, 1, physics="fast")
     results: dict[str, TabularResult] = {"report": first, "comparison": Comparison(first, other)}
-    results |= {"agreement": Agreement(first, other)}
     results |= {"crossplay": CrossPlay({("replay", name): first for name in ("hold", "yang2021")})}
     result = results[kind]
     sections = result.build_sections()

@@ -1,4 +1,4 @@
-"""Tests of the evaluation with the partners of a population, and of files with reference scores."""
+"""Tests of the evaluation with the partners of a population."""
 
 import json
 import shutil
@@ -10,11 +10,10 @@ import pytest
 
 import handover_marl
 from handover_marl.cli import main
-from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError, ResultsError
+from handover_marl.errors import OptionError, ResultsError
 from handover_marl.evaluation.reports.tables import compute_wilson_interval
 from handover_marl.evaluation.strangers import protocol
-from handover_marl.evaluation.strangers.protocol import make_leaderboard, update_references
-from handover_marl.evaluation.strangers.references import Condition, Reference, ReferenceTable, load_references
+from handover_marl.evaluation.strangers.protocol import make_leaderboard
 from handover_marl.evaluation.strangers.report import StrangersReport, read_report
 from handover_marl.policies.populations import load_population
 from tests.evaluation.strangers.populations import write_population
@@ -51,7 +50,7 @@ def test_report_and_files(fake_data: Path, population: Path, evaluated: Path, tm
         assert found.interval_95 == pytest.approx(compute_wilson_interval(0, n), abs=1e-12)
     assert str(population.parent) not in (evaluated / "strangers.json").read_text()
     text = (evaluated / "strangers.md").read_text()
-    for words in ("Receiver hold with 2 givers of small 1.0", "fast physics", "No BR-Prox", "seed 0"):
+    for words in ("Receiver hold with 2 givers of small 1.0", "fast physics", "seed 0"):
         assert words in text
     # The same call computes the same tables from the stored results, without a simulation.
     out = shutil.copytree(evaluated, tmp_path / "out")
@@ -62,31 +61,6 @@ def test_report_and_files(fake_data: Path, population: Path, evaluated: Path, tm
     assert (out / "strangers.json").read_text() == (evaluated / "strangers.json").read_text()
     with pytest.raises(OptionError, match="out must be a folder for population"):
         run(fake_data, population, out=out, partners="all")
-
-
-@pytest.mark.slow
-def test_references_of_evaluations(fake_data: Path, evaluated: Path, tmp_path: Path) -> None:
-    population = write_population(tmp_path)
-    summary = update_references([evaluated], population)
-    assert [(row[0], row[3]) for row in summary.build_tables()[0].rows] == [("fast", "hold"), ("slow", "hold")]
-    command = next(iter(summary.sections.values()))["fast"].command
-    assert command.startswith("handover-marl pair --giver hurried:min_rate=0.5,max_rate=0.6 --receiver hold --dataset ")
-    assert "--physics fast --robot panda --seed 0 --scenes " in command
-    out = shutil.copytree(evaluated, tmp_path / "out")
-    found = run(fake_data, population, out=out)
-    # In folders of other evaluations, both agents can become references.
-    (out / "strangers.json").unlink()
-    both = update_references([out], population, tmp_path / "both.json")
-    assert [row[0] for row in both.build_tables()[0].rows] == ["fast", "slow", "still"]
-    # The reference scores of both partners are zero, so that every score counts as having reached them. The policy is
-    # compared with itself, so that there is no interval.
-    estimates = found.estimate_all()
-    assert (estimates["br_prox"].mean, estimates["br_prox"].interval_95) == (1.0, None)
-    assert estimates["worst_br_prox"].interval_95 is None
-    assert ["BR-Prox %", "100.0"] in [list(row) for row in found.build_tables()[0].rows]
-    assert found.references is not None
-    others = replace(found, references=tuple(replace(each, policy="best") for each in found.references))
-    assert others.estimate_all()["br_prox"].interval_95 is not None
 
 
 def test_evenly_spaced_scenes_and_receivers_as_partners(
@@ -149,21 +123,12 @@ def test_both_splits_of_a_method_are_side_by_side(
 def test_leaderboard(population: Path, evaluated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     other = shutil.copytree(evaluated, tmp_path / "other")
     named = ["strangers-table", f"one={evaluated}", f"another={other}", "--population", str(population)]
-    picture, references = tmp_path / "heat_map.png", tmp_path / "references.json"
+    picture = tmp_path / "heat_map.png"
     assert main([*named, "--heat-map", str(picture)]) == 0
     printed = capsys.readouterr().out
     assert "| one     | val   | 1         | panda | 0." in printed
     assert "| one    | another | val   |" in printed
-    # Without stored references there is no score relative to the best of the methods.
-    assert "No BR-Prox: a partner has no reference" in printed
     assert picture.read_bytes().startswith(b"\x89PNG")
-    update_references([evaluated], population, references)
-    assert main([*named, "--references", str(references)]) == 0
-    printed = capsys.readouterr().out
-    assert "AS of the best policy known" in printed
-    assert "No BR-Prox" not in printed
-    assert main([*named, "--references", str(tmp_path / "absent.json")]) == 2
-    assert "references must be a file that" in capsys.readouterr().err
     assert main([*named[:2], str(other), *named[3:]]) == 2
     assert "must all have names, or none" in capsys.readouterr().err
 
@@ -194,50 +159,3 @@ def test_incomplete_folders_are_refused(population: Path, evaluated: Path, tmp_p
     ):
         (out / "strangers.json").write_text(json.dumps(content | {"folders": {"hold": folders}}))
         check(ResultsError, message, out)
-
-
-CONDITION = Condition("receiver", "dexycb", "s0", "train", "fast", "0", "0.8.0", (3, 5, 9), ("a", "b", "c"))
-GOOD = Reference("reactive", "0.8.0 abc", "handover-marl pair", (0.5, 0.0, 0.7))
-BAD = Reference("hold", "0.8.0 abc", "handover-marl pair", (0.0, 0.3, 0.0))
-POPULATION = load_population()
-EMPTY = ReferenceTable(POPULATION, {})
-
-
-def test_the_best_policy_stays() -> None:
-    table = EMPTY.update(CONDITION, "fast", BAD).update(CONDITION, "fast", GOOD).update(CONDITION, "fast", BAD)
-    assert table.sections[CONDITION]["fast"] == GOOD
-    assert table.find(CONDITION, "fast") == GOOD
-
-
-def test_scores_of_some_of_the_scenes() -> None:
-    single = replace(CONDITION, scenes=(5,), data=("b",))
-    table = EMPTY.update(CONDITION, "fast", GOOD).update(single, "fast", replace(BAD, scores=(0.3,)))
-    assert table.find_all(replace(CONDITION, scenes=(3, 9), data=("a", "c")), ["fast"]) == (
-        replace(GOOD, scores=(0.5, 0.7)),
-    )
-    # For scene 5, a higher score of another policy is stored under another condition.
-    assert table.find_all(single, ["fast"]) == (replace(BAD, scores=(0.3,)),)
-    assert table.find_all(CONDITION, ["fast", "slow"]) is None
-
-
-def test_references_of_other_conditions_are_not_used() -> None:
-    table = EMPTY.update(CONDITION, "fast", GOOD)
-    others: list[dict[str, Any]] = [{"scenes": (3, 4), "data": ("a", "b")}, {"data": ("a", "b", "other hash")}]
-    for changes in [*others, {"physics": "exact"}, {"split": "val"}, {"seed": "1"}, {"version": "0.9.0"}]:
-        assert table.find(replace(CONDITION, **changes), "fast") is None
-
-
-def test_files(tmp_path: Path) -> None:
-    path = tmp_path / "references.json"
-    assert load_references(POPULATION, path, is_new=True) == EMPTY
-    with pytest.raises(DataNotFoundError, match="references must be a file that"):
-        load_references(POPULATION, path)
-    table = EMPTY.update(CONDITION, "fast", GOOD)
-    path.write_text(table.to_json())
-    assert load_references(POPULATION, path) == table
-    with pytest.raises(DataFormatError, match="must be of population def, got"):
-        load_references(replace(POPULATION, content_hash="def"), path)
-    for text in ("{", '{"population_hash": "", "sections": [1]}', path.read_text().replace("0.7", "0.7, 0.1")):
-        path.write_text(text)
-        with pytest.raises(DataFormatError, match="not a readable file of references"):
-            load_references(POPULATION, path)

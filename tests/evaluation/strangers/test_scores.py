@@ -9,9 +9,6 @@ from handover_marl.evaluation.strangers.scores import (
     compute_max_over_partners,
     compute_mean,
     compute_min_over_partners,
-    compute_proximities,
-    compute_proximity,
-    compute_worst_proximity,
     estimate,
     estimate_difference,
     estimate_rate,
@@ -41,21 +38,12 @@ def test_intervals_cover_whatever_varies(varying: str, kind: str) -> None:
     assert np.mean(covered) >= 0.91
 
 
-def test_references_vary_with_the_scenes() -> None:
-    """A policy with half the score of the reference in every scene has a proximity without variation."""
-    references = np.linspace(0.1, 0.9, 12)[None] * np.array([[0.5], [1.0], [0.8]])
-    found = estimate(compute_proximity, 0.5 * references[None], ["a", "b", "b"], references)
-    assert found.interval_95 == pytest.approx((0.5, 0.5))
-    assert found.mean == pytest.approx(0.5)
-
-
 def test_the_worst_partner_is_that_of_the_mean_over_policies_and_scenes() -> None:
     scores = np.array([[[1.0, 0.2], [0.0, 0.2]], [[0.6, 1.0], [0.6, 0.8]]])
     assert estimate(compute_min_over_partners, scores, None).mean == pytest.approx(0.4)
     assert estimate_rate(compute_min_over_partners, scores, None).mean == pytest.approx(0.4)
     assert estimate_difference(compute_min_over_partners, scores, scores[:1], None).mean == pytest.approx(0.4 - 0.1)
     assert estimate(compute_max_over_partners, scores, None).mean == pytest.approx(0.7)
-    assert estimate(compute_worst_proximity, scores, None, np.full((2, 2), 0.8)).mean == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize("count", [0, 12])
@@ -68,13 +56,6 @@ def test_rates_with_a_single_partner_have_wilson_intervals_of_its_episodes(count
     found = estimate_rate(compute_mean, np.ones((1, 1, 13)), None)
     assert found.interval_95 is not None
     assert found.interval_95[1] == 1.0, "rounding does not lead beyond 1"
-
-
-def test_proximities() -> None:
-    """Partners with whom nothing succeeds count as reached; interquartile means ignore the ends."""
-    returns, references = np.array([[0.0, 0.3]]), np.array([0.0, 0.6])
-    np.testing.assert_array_equal(compute_proximities(returns, references), [[1.0, 0.5]])
-    assert compute_proximity(np.array([[-100.0, 1.0, 2.0, 100.0]]), np.ones(4)) == 1.5
 
 
 def measure_width(scores: np.ndarray, families: list[str] | None) -> float:
@@ -139,6 +120,3 @@ def test_rates_have_wilson_intervals_with_the_quantile_of_student(
 def test_differences_of_rates_are_at_least_minus_one() -> None:
     first, second = np.array([[[0.0, 0.0, 1.0]]]), np.array([[[1.0, 1.0, 0.0]]])
     assert estimate_difference(compute_mean, first, second, None).interval_95 == pytest.approx((-1.0, 1.0))
-    proximity = estimate_difference(compute_proximity, first, second, None, np.ones((1, 3)))
-    assert proximity.interval_95 is not None
-    assert proximity.interval_95[0] < -1.0
