@@ -1,30 +1,8 @@
-"""Reward terms, each with formula and unit, and their weighted sums; the preset rewards are weights.
+"""Reward terms and their weighted sums; the preset rewards are weights.
 
-| term | value in a control step of duration T | unit |
-|---|---|---|
-| success | 1 in the step that completes the handover, else 0 | 1 |
-| contact | 1 in the step in which the robot touches the person's hand, else 0 | 1 |
-| drop | 1 in the step in which the object is dropped, else 0 | 1 |
-| distance | shaping; potential: 1 minus the distance (m) of fingertips and object's origin, 1 while grasped | 1 |
-| grasp | shaping; potential: 1 while both fingers touch the object, else 0 | 1 |
-| goal | shaping; potential: 1 minus the distance (m) of hand link and goal while grasped, else 0 | 1 |
-| effort | squared speed at which the wrist's displacement from the recording changes, times T | m^2/s |
-| discomfort | displacement of the wrist (m) plus a third of its rotation (rad) from the recording, times T | s |
-| waiting | T if the object is held out and not yet released before the step, else 0 | s |
-| gripper_path | distance of the hand link's positions before and after the step | m |
-| hand_path | distance of the person's wrist positions before and after the step; 0 without a hand | m |
-| gripper_jerk | norm of the third difference of the last four positions of the hand link, divided by T^2 | m/s^2 |
-| hand_jerk | the same for the person's wrist; 0 without a hand | m/s^2 |
-| object_force | sum of the normal forces between robot and object at the end of the step, times T | N s |
-| hand_force | sum of the normal forces between robot and human hand at the end of the step, times T | N s |
-| time | T | s |
-| clearance | min(d, 0.1 m) - 0.1 m, times T, at most 0; 0 without a hand | m s |
-
-The hand link is the Panda's `panda_hand`; the object is grasped while both fingers touch it. d is the distance between
-the four boxes that bound the open gripper and the nearest of the 16 joint origins of the person's hand. Terms with a
-length or a time in their unit are sums or integrals over time: their sum over an episode hardly depends on the control
-period. The jerk terms are the norm of the jerk integrated over the step; they are 0 in the first two steps of an
-episode and in a last step that is shorter than the others.
+`docs/reference/rewards.md` has the formula of every term, and its unit. The object is grasped while both fingers touch
+it. Terms with a length or a time in their unit are sums or integrals over time: their sum over an episode hardly
+depends on the control period.
 
 A shaping term (Ng et al., "Policy invariance under reward transformations", ICML 1999) is gamma times the potential
 after a step minus the potential before it; the potential is 0 once the episode has terminated. The discounted sum of a
