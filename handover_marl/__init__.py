@@ -4,7 +4,6 @@ env = handover_marl.parallel_env(setup="s0", split="train")      PettingZoo para
 env = handover_marl.env(setup="s0", split="train")               PettingZoo AEC environment
 env = handover_marl.freeze(env, "receiver", "replay")            one agent to control
 env = handover_marl.encode(env)                                  features and scaled outputs
-env = handover_marl.flatten(env)                                 vectors instead of dictionaries
 env = handover_marl.vector_env(64, "receiver", "replay")         many environments at once
 env = gymnasium.make("HandoverMARL/Receiver-v0", setup="s0")     Gymnasium environment of the robot
 robot = handover_marl.as_receiver(network)                       function, network or file as a receiver
@@ -34,7 +33,6 @@ _NAMES = {
     "envs.transition": ("Transition",),
     "envs.vector.vector_env": ("vector_env",),
     "envs.wrappers.encode": ("encode",),
-    "envs.wrappers.wrapper": ("flatten",),
     "envs.wrappers.freeze": ("freeze",),
     "episode.camera_observations": ("CameraCapture",),
     "episode.referee": ("EpisodeStatus",),
@@ -45,7 +43,7 @@ _NAMES = {
     "evaluation.demonstrations.demonstration": ("Demonstrations",),
     "evaluation.demonstrations.record": ("demonstrate",),
     "evaluation.merge": ("merge",),
-    "evaluation.rendering": ("render_plan", "render_scene"),
+    "evaluation.rendering": ("render_scene",),
     "evaluation.reports.report": ("Report", "evaluate"),
     "evaluation.strangers.protocol": ("strangers",),
     "evaluation.verification": ("verify",),

@@ -15,7 +15,6 @@ from handover_marl.envs.transition import Transition as Transition
 from handover_marl.envs.vector.vector_env import vector_env as vector_env
 from handover_marl.envs.wrappers.encode import encode as encode
 from handover_marl.envs.wrappers.freeze import freeze as freeze
-from handover_marl.envs.wrappers.wrapper import flatten as flatten
 from handover_marl.episode.camera_observations import CameraCapture as CameraCapture
 from handover_marl.episode.referee import EpisodeStatus as EpisodeStatus
 from handover_marl.evaluation.benchmark import benchmark as benchmark
@@ -27,7 +26,6 @@ from handover_marl.evaluation.crossplay import crossplay as crossplay
 from handover_marl.evaluation.demonstrations.demonstration import Demonstrations as Demonstrations
 from handover_marl.evaluation.demonstrations.record import demonstrate as demonstrate
 from handover_marl.evaluation.merge import merge as merge
-from handover_marl.evaluation.rendering import render_plan as render_plan
 from handover_marl.evaluation.rendering import render_scene as render_scene
 from handover_marl.evaluation.reports.report import Report as Report
 from handover_marl.evaluation.reports.report import evaluate as evaluate

@@ -10,17 +10,17 @@
 | `history` | as `population`, with the features of the receiver's last four decisions (`close_stack`) |
 
 `fictitious_co_play` simplifies the method of Strouse et al. (NeurIPS 2021): the two policies of a pair are trained one
-after the other, the receiver with `replay`, and then the giver with this receiver, after it has imitated `cooperative`;
-there are no untrained partners. The policies are `OUT/EGO_METHOD/SEED.npz`, the pairs are in `OUT/pairs`. The script
-needs the extra `train`. The same command continues an interrupted run after the last written policy.
+after the other, the receiver with `replay`, and then the giver with this receiver; there are no untrained partners. The
+policies are `OUT/EGO_METHOD/SEED.npz`, the pairs are in `OUT/pairs`. The script needs the extra `train`. The same
+command continues an interrupted run after the last written policy.
 """
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-import train_giver_sb3
 import train_receiver_ppo
+import train_sb3
 
 from handover_marl.errors import OptionError, ResultsError
 from handover_marl.execution.files import write_atomically
@@ -46,7 +46,7 @@ class Args(SetupArgs):
         population: Name of a shipped population, or path of a file.
         pairs: Number of pairs of the method fictitious_co_play.
         receiver: Further arguments of `train_receiver_ppo.py`; this script sets giver, out, seed and the data.
-        giver: Further arguments of `train_giver_sb3.py`; this script sets receiver, out, seed, resume and the data.
+        giver: Further arguments of `train_sb3.py`; this script sets agent, partner, out, seed, resume and the data.
     """
 
     ego: Literal["receiver", "giver"] = "receiver"
@@ -59,9 +59,15 @@ class Args(SetupArgs):
     receiver: train_receiver_ppo.Args = field(
         default_factory=lambda: train_receiver_ppo.Args(val_scenes=0, minutes=_MAX_MINUTES)
     )
-    giver: train_giver_sb3.Args = field(
-        default_factory=lambda: train_giver_sb3.Args(
-            physics="mujoco", batch_size=64, epochs=20, eval_interval=8192, eval_start=False, minutes=_MAX_MINUTES
+    giver: train_sb3.Args = field(
+        default_factory=lambda: train_sb3.Args(
+            agent="giver",
+            decisions=8192,
+            batch_size=512,
+            control_period=0.1,
+            initial_std=0.25,
+            eval_start=False,
+            minutes=_MAX_MINUTES,
         )
     )
 
@@ -105,8 +111,8 @@ def train_policy(args: Args, agent: str, partner: str, path: Path, seed: int, sh
         train_receiver_ppo.main(changed)
         return path
     folder, decisions = path.with_name(f"giver_{seed}"), round(share * args.giver.decisions)
-    policy = train_giver_sb3.main(
-        replace(args.giver, receiver=partner, out=str(folder), decisions=decisions, resume=folder.exists(), **where)
+    policy = train_sb3.main(
+        replace(args.giver, partner=partner, out=str(folder), decisions=decisions, resume=folder.exists(), **where)
     )
     write_atomically(path, policy.read_bytes())
     return path

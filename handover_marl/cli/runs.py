@@ -1,6 +1,5 @@
 """Commands that simulate scenes and print a table, or record episodes."""
 
-from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 import tyro
@@ -19,7 +18,6 @@ from handover_marl.cli.options import (
     Trust,
 )
 from handover_marl.cli.streams import print_tables
-from handover_marl.errors import OptionError
 from handover_marl.evaluation.config import ExecutionConfig
 
 _EXECUTION, _VAL_PAIR, _VAL_SCENES = ExecutionArguments(), PairArguments(split="val"), SceneArguments(split="val")
@@ -140,7 +138,6 @@ def run_render(
     scene: int,
     out: Annotated[str, tyro.conf.arg(metavar="FILE")],
     receiver: Annotated[str | None, tyro.conf.arg(metavar="POLICY")] = None,
-    plan: bool = False,
     view: Literal["outside", "wrist"] = "outside",
     key_frames: int = 6,
     caption: bool = True,
@@ -153,13 +150,12 @@ def run_render(
     progress: Progress = True,
     trust: Trust = False,
 ) -> None:
-    """Render a scene, an episode in it, or a receiver's motion plan.
+    """Render a scene, or an episode in it.
 
     Args:
         scene: Number of the scene in its data set.
         out: Output file: .png for a grid of key frames, .gif or .mp4 for a video, .html for a 3D replay.
         receiver: The robot's policy; default: the robot stays at rest.
-        plan: Render the plan of a receiver such as omg (.png): start, goals, chosen goal, path of the robot's hand.
         view: outside, or wrist for colours, depth and segmentation of the wrist camera below it.
         key_frames: Number of key frames of a .png.
         caption: Show the time and the state of the episode (released, contact, goal reached) in images and videos.
@@ -176,14 +172,6 @@ def run_render(
     size, pose = {"width": width, "height": height}, {"position": position, "target": target}
     given = {**size, **pose, "vertical_fov": vertical_fov}
     camera: Any = {name: value for name, value in given.items() if value is not None}
-    if plan:
-        from handover_marl.evaluation.rendering import PLAN_CAMERA, render_plan
-
-        if not camera.keys() <= size.keys():
-            raise OptionError("--position, --target and --vertical-fov do not apply to --plan; leave them out")
-        options["camera"] = replace(PLAN_CAMERA, **camera)
-        print(render_plan(scene, out, receiver=receiver or "omg", **options), flush=True)
-        return
     # Without these options, each kind of file has its own default camera.
     options |= {"camera": CameraConfig(**camera) if camera else None}
     options |= {"progress": progress, "view": view, "key_frames": key_frames, "caption": caption}

@@ -1,4 +1,4 @@
-"""Rendering of one scene: image grids, videos, replay pages, and motion plans."""
+"""Rendering of one scene: image grids, videos and replay pages."""
 
 import os
 from collections.abc import Callable, Sequence
@@ -17,9 +17,8 @@ from handover_marl.evaluation.config import REPLAY, EvaluationConfig, ExecutionC
 from handover_marl.evaluation.episode_runner import EpisodeRunner
 from handover_marl.evaluation.recordings import format_replay_facts
 from handover_marl.execution.files import write_atomically
-from handover_marl.execution.options import check_boolean, forward_signature, require_modules
+from handover_marl.execution.options import check_boolean, forward_signature
 from handover_marl.policies.reference import PolicyLike, parse_policy
-from handover_marl.receivers.omg import OmgReceiver
 from handover_marl.simulation.camera.renderers import check_rendering, resolve_renderer
 from handover_marl.visualization.pictures import (
     FRAME_PERIOD_MS,
@@ -27,7 +26,6 @@ from handover_marl.visualization.pictures import (
     FrameRecorder,
     Picture,
     draw_caption,
-    draw_plan_figure,
     draw_wrist_view,
     encode_grid,
     encode_video,
@@ -40,8 +38,6 @@ from handover_marl.visualization.replay_scene import build_replay_page, require_
 _GRID_COLUMNS = 3
 # Duration for which a scene without a receiver is shown after the recorded motion.
 _STILL_SCENE_DURATION_MS = 500
-#: Camera whose width and height give the default size of the image of a plan.
-PLAN_CAMERA = CameraConfig(width=1200, height=600)
 # Fields of both configurations that do not apply to a single scene.
 _SINGLE_SCENE = (
     *("setup", "split", "scenes", "workers", "backend", "ray_address", "shard", "out", "fresh", "replays", "traces"),
@@ -162,56 +158,5 @@ def render_scene(
         horizon = until or config.world_config.protocol.horizon_steps
         content = encode_video(record_frames(range(0, horizon, FRAME_PERIOD_MS)), suffix)
     runner.close()
-    write_atomically(path, content)
-    return path
-
-
-@forward_signature(EvaluationConfig, ExecutionConfig, without=(*_SINGLE_SCENE, "progress"))
-def render_plan(
-    scene_id: int,
-    out: str | os.PathLike[str],
-    *,
-    receiver: PolicyLike = "omg",
-    giver: PolicyLike = REPLAY,
-    camera: CameraConfig = PLAN_CAMERA,
-    **options: Any,
-) -> Path:
-    """Render a receiver's first motion plan: start, goals, chosen goal and path of the robot's hand link.
-
-    Args:
-        scene_id: Number of the scene, 0 to 999 of official data.
-        out: Output file, a `.png`.
-        receiver: A receiver with a motion planner, such as "omg".
-        giver: The person's policy, as in `evaluate_pair`.
-        camera: Width and height of the image (pixels); its pose is not used.
-        options: `dataset`, `data_dir`, `physics`, `robot`, `seed`, `trust` and those of cameras, see
-            `handover_marl.EvaluationConfig` and `handover_marl.ExecutionConfig`.
-
-    Returns:
-        Path of the written file.
-
-    Raises:
-        OptionError: The receiver has no planner, the suffix is not .png, or matplotlib is not installed.
-        UnknownNameError, SceneError, DataNotFoundError, DataFormatError: As for `benchmark`.
-    """
-    path = prepare_output_path(out, (".png",))
-    require_modules("a plan", "plot", "matplotlib")
-    check_config("camera", camera, CameraConfig)
-    runner, scene, _ = _open_scene(scene_id, receiver, giver, options)
-    policy, dataset, info = runner.receiver, runner.dataset, scene.info
-    if not isinstance(policy, OmgReceiver):
-        raise OptionError(
-            f"receiver must have a motion planner to render, got {receiver!r}; choose omg or omg_hand_aware"
-        )
-    _play(runner, scene, lambda: policy.has_planned)
-    observation, plan = runner.episode.observe(), policy.plan
-    runner.close()
-    reached = "no goal can be reached"
-    if plan:
-        reached = f"{len(plan.goals)} goals (green), the chosen one red, {plan.steps} steps"
-    title = f"{policy.name}, scene {scene_id} ({info.target_name}), {dataset.name}: {reached}"
-    urdfs = [dataset.find_object_urdf(name) for name in info.object_names]
-    size = (camera.width, camera.height)
-    content = draw_plan_figure(plan, policy.arm, policy.world_from_base, observation, urdfs, title, size)
     write_atomically(path, content)
     return path

@@ -6,8 +6,8 @@ from handover_marl.geometry.arrays import AnyArray, widen
 from handover_marl.geometry.rotations import quaternions_from_rotation_vectors, rotate_points
 from handover_marl.geometry.vectors import compute_lengths
 from handover_marl.givers.reactions import HandoverPoseVariation
-from handover_marl.learning.action_scheme import InvertibleScheme, RawScheme
-from handover_marl.learning.array_features import compute_handover_frames, rotate_to_frame, rotate_to_world
+from handover_marl.learning.action_scheme import ArrayScheme, RawScheme
+from handover_marl.learning.array_features import compute_handover_frames, rotate_to_world
 from handover_marl.policies.batch import make_giver_actions
 from handover_marl.policies.policy import PolicyContext
 
@@ -18,7 +18,7 @@ class RawGiverScheme(RawScheme):
     name, agent, size = "giver", "giver", GIVER_ACTION_SIZE
 
 
-class DeviationScheme(InvertibleScheme):
+class DeviationScheme(ArrayScheme):
     """Deviation from the recorded motion: the giver's action Box(8), scaled to [-1, 1].
 
     The giver follows the recording if all outputs are 0, and releases the object if the last output exceeds 0.5.
@@ -36,12 +36,8 @@ class DeviationScheme(InvertibleScheme):
         xp = self._arrays.xp
         return xp.astype((self._outputs[rows] * self._high).clip(self._low, self._high), xp.float32)
 
-    def outputs_from_actions(self, actions: AnyArray, observation: Observation) -> AnyArray:
-        """Return the outputs (r, 8) for givers' actions (r, 8): the actions divided by their upper bounds."""
-        return (actions / self._high).clip(-1.0, 1.0)
 
-
-class HandoverPoseScheme(InvertibleScheme):
+class HandoverPoseScheme(ArrayScheme):
     """Scheme in which the network decides once per episode: handover pose, and withdrawal after the release.
 
     Outputs are requested when the recorded hand is about to stop at its own handover pose. Before that time the giver
@@ -114,17 +110,6 @@ class HandoverPoseScheme(InvertibleScheme):
             displacement = xp.where(leaves[:, None], self._withdrawal[rows], displacement)
         rotation = scale * self._turn[rows]
         return make_giver_actions(len(rows), displacement=displacement, rotation=rotation, arrays=self._arrays)
-
-    def outputs_from_actions(self, actions: AnyArray, observation: Observation) -> AnyArray:
-        """Return the outputs (r, 7) that choose the same handover poses as givers' actions (r, 8).
-
-        An action contains no withdrawal, so output 6 is 0: half of the full withdrawal.
-        """
-        xp, displacement, turn = self._arrays.xp, actions[:, 1:4], widen(actions[:, 4:7])
-        center, axes, rotated = self._rotate_about_wrists(turn, observation)
-        shift = rotate_to_frame(axes, rotated + displacement - center) / self.max_output_translation
-        turn = rotate_to_frame(axes, turn) / self.max_output_rotation
-        return xp.concat([shift, turn, xp.zeros_like(turn[:, :1])], axis=1).clip(-1.0, 1.0)
 
     def _choose_poses(self, rows: AnyArray, observation: Observation) -> None:
         outputs = self._outputs[rows]

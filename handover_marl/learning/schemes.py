@@ -2,13 +2,9 @@
 
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
-from handover_marl.episode.observations import Observation, add_episode_axis
-from handover_marl.errors import OptionError, check_name
+from handover_marl.errors import check_name
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory
-from handover_marl.learning.action_scheme import Action, ActionScheme, ArrayScheme, InvertibleScheme, SingleScheme
+from handover_marl.learning.action_scheme import ArrayScheme, SingleScheme
 from handover_marl.learning.custom_encodings import SCHEME, CustomScheme, SchemeLike, is_reference
 from handover_marl.learning.giver_schemes import DeviationScheme, HandoverPoseScheme, RawGiverScheme
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
@@ -87,17 +83,3 @@ def make_array_scheme(
         return _SCHEMES[choice](context, selector, count, arrays)
     own: Any = import_reference(SCHEME, choice) if isinstance(choice, str) else choice
     return CustomScheme(agent, own, context, count, arrays, choice if isinstance(choice, str) else "")
-
-
-def outputs_from_action(scheme: ActionScheme, action: Action, observation: Observation) -> npt.NDArray[np.float32]:
-    """Return the outputs (size,) in [-1, 1] that a scheme decodes to the action nearest to a given one, (8,) or (9,).
-
-    Raises:
-        OptionError: The scheme cannot be inverted.
-    """
-    inner = scheme.scheme if isinstance(scheme, SingleScheme) else None
-    if not isinstance(inner, InvertibleScheme):
-        names = [name for name, kind in _SCHEMES.items() if issubclass(kind, InvertibleScheme)]
-        raise OptionError(f"action scheme {scheme.name!r} cannot imitate; use one of {', '.join(names)}")
-    outputs = inner.outputs_from_actions(np.asarray(action)[None], add_episode_axis(observation))[0]
-    return np.asarray(outputs, dtype=np.float32)

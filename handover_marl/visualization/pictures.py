@@ -20,16 +20,10 @@ from rich.progress import Progress
 from handover_marl.config import OFFICIAL_CONFIG, TABLE_HEIGHT, TIME_STEP, CameraConfig
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import EpisodeCallback
-from handover_marl.episode.observations import Observation
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError, ResultsError
 from handover_marl.execution.options import check_path, require_modules
-from handover_marl.geometry.arm import ArmKinematics
-from handover_marl.geometry.model_files.meshes import read_collision_mesh
-from handover_marl.geometry.panda import GRIPPER_OUTLINE
 from handover_marl.geometry.poses import transform_points
-from handover_marl.planning.hand_tracker import hand_capsules_from_observation
-from handover_marl.planning.planner import Plan
 from handover_marl.simulation.camera.images import LABEL_COLORS, SegmentationLabel
 from handover_marl.simulation.camera.optics import WRIST_CAMERA
 
@@ -191,57 +185,6 @@ def draw_wrist_view(episode: Episode, camera: CameraConfig) -> Picture:
     picture: Picture = np.concatenate([episode.render(camera), strip])
     # H.264 videos need an even number of pixels a side.
     return picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2]
-
-
-def draw_plan_figure(
-    plan: Plan | None,
-    arm: ArmKinematics,
-    world_from_base: Array,
-    observation: Observation,
-    object_urdfs: Sequence[Path],
-    title: str,
-    size: tuple[int, int],
-) -> bytes:
-    """Draw objects, the person's hand and a motion plan; return a PNG.
-
-    Args:
-        plan: Motion plan; None draws only the scene.
-        arm: Kinematics of the robot arm.
-        world_from_base: (7,) world pose of the robot base, xyz (m) and quaternion xyzw.
-        observation: Observation of the scene when the plan was made.
-        object_urdfs: URDF file of each object, in the order of the observation.
-        title: Title of the figure.
-        size: Width and height (pixels).
-    """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(size[0] / _DPI, size[1] / _DPI), dpi=_DPI, layout="constrained")
-    figure.suptitle(title)
-    axes = figure.add_subplot(projection="3d")
-    for urdf, pose in zip(object_urdfs, observation["object_poses"].astype(np.float64), strict=False):
-        vertices, faces = read_collision_mesh(urdf)
-        axes.plot_trisurf(*transform_points(pose, vertices).T, triangles=faces, color="tab:brown", alpha=0.35)
-    hand = hand_capsules_from_observation(observation)
-    for start, end, radius in () if hand is None else zip(hand.starts, hand.ends, hand.radii, strict=True):
-        axes.plot(*np.stack([start, end]).T, color="tab:orange", linewidth=400 * radius, alpha=0.6)
-    if plan is not None:
-        # Positions of base and links, and outlines of the gripper, at each waypoint and each goal.
-        frames = arm.compute_chain_frames(np.concatenate([plan.start[None], plan.trajectory, plan.goals.goals]))
-        origins, rotations = (np.moveaxis(part, -1, 0) for part in (frames.origins, frames.rotations[-1]))
-        grippers = np.array(GRIPPER_OUTLINE) @ rotations.transpose(0, 2, 1) + origins[:, -1:]
-        outlines, links = (transform_points(world_from_base, points) for points in (grippers, origins))
-        n = 1 + len(plan.trajectory)
-        for outline in outlines[n:]:
-            axes.plot(*outline.T, color="tab:green", linewidth=0.8, alpha=0.6)
-        axes.plot(*outlines[n - 1].T, color="tab:red", linewidth=2.5, label="chosen goal")
-        axes.plot(*links[0].T, color="black", linewidth=3, alpha=0.5, label="arm at the start")
-        axes.plot(*links[:n, -1].T, color="tab:blue", marker=".", label="hand link at each waypoint")
-        axes.legend(loc="upper left", fontsize="small")
-    limits = np.add.outer(observation["object_poses"][0, :3], [-_HALF_EXTENT, _HALF_EXTENT])
-    axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2], xlabel="x (m)", ylabel="y (m)", zlabel="z (m)")
-    axes.set_box_aspect((1, 1, 1))
-    axes.view_init(elev=20.0, azim=-20.0)
-    return _save(figure)
 
 
 def draw_recording(bodies: Mapping[str, Array]) -> bytes:

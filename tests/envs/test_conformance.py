@@ -10,7 +10,7 @@ from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test
 from pettingzoo.utils.conversions import parallel_to_aec
 
 import handover_marl
-from handover_marl import encode, flatten, freeze
+from handover_marl import encode, freeze
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.wrappers.wrapper import EpisodeReturns, SingleAgentEnv
 from tests.envs.test_wrappers import Cost
@@ -26,7 +26,6 @@ def make(**options: Any) -> HandoverEnv:
 
 KINDS: dict[str, Callable[[], Any]] = {
     "both": make,
-    "flat": lambda: flatten(Cost(make())),
     "encoded": lambda: encode(make(), {"receiver": "grasp"}),
     "receiver": lambda: freeze(make(obs_mode="state+pointcloud"), "receiver", "noisy"),
     "giver": lambda: freeze(make(), "giver", "random"),
@@ -37,7 +36,7 @@ KINDS: dict[str, Callable[[], Any]] = {
 
 def test_pettingzoo_accepts_turns() -> None:
     api_test(handover_marl.env(dataset="synthetic", physics="fast", scenes=[5], max_cycles=3), num_cycles=8)
-    api_test(parallel_to_aec(flatten(make())), num_cycles=8)
+    api_test(parallel_to_aec(encode(make())), num_cycles=8)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -1,4 +1,4 @@
-"""Tests of wrappers: encoded and flattened environments, and wrappers of PettingZoo and Gymnasium."""
+"""Tests of wrappers: encoded environments, and wrappers of PettingZoo and Gymnasium."""
 
 import sys
 from collections.abc import Callable
@@ -8,11 +8,9 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium import spaces
 from pettingzoo.utils.wrappers import BaseParallelWrapper
 
 import handover_marl
-from handover_marl import flatten
 from handover_marl.config import CameraConfig, ProtocolConfig, WorldConfig
 from handover_marl.envs.constructors import parallel_env
 from handover_marl.envs.handover_env import HandoverEnv
@@ -206,8 +204,7 @@ def test_rewards_add_up_until_the_next_decision() -> None:
         (lambda world, view: encode(world, "receiver"), OptionError, "by agent for 2 agents"),
         (lambda world, view: encode(world, api="gymnasium"), OptionError, "one agent, got giver and receiver"),
         (lambda world, view: freeze(encode(world), "receiver"), OptionError, "must not be encoded"),
-        (lambda world, view: freeze(flatten(world)), OptionError, "must not be encoded"),
-        (lambda world, view: encode(flatten(world)), OptionError, "encode once, before flattening"),
+        (lambda world, view: encode(encode(world)), OptionError, "encode once"),
         (lambda world, view: encode(view).step({"receiver": np.zeros(7)}), ResetNeededError, "call reset"),
     ],
 )
@@ -236,19 +233,6 @@ def test_outputs_of_raw_schemes_are_actions_of_the_environment(scheme: dict[str,
         raw = world.action_space(agent)
         assert (env.action_space(agent) == raw) == (agent in scheme)
         assert not hasattr(raw, "encoding"), "the space of the environment is unchanged"
-
-
-def test_vectors_hold_all_that_dictionaries_show() -> None:
-    pytest.importorskip("embreex", reason="needs the extra `vision`")
-    world, plain = (parallel_env(**SYNTHETIC, obs_mode="state+rgbd") for _ in range(2))
-    env = flatten(plain)
-    shown, seen = world.reset(seed=1)[0], env.reset(seed=1)[0]
-    assert shown["receiver"]["wrist_rgb"].any()
-    for agent, values in shown.items():
-        assert env.observation_space(agent).contains(seen[agent])
-        back: Any = spaces.unflatten(world.observation_space(agent), seen[agent])
-        for key, value in values.items():
-            np.testing.assert_array_equal(back[key], value)
 
 
 def test_supersuit_makes_the_spaces_of_all_agents_equal() -> None:

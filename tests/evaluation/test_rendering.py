@@ -106,5 +106,3 @@ def test_camera_options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys:
     assert main(command) == 0
     camera = CameraConfig(width=320, position=(1.0, -0.5, 2.0), target=(0.4, 0.0, 1.1), vertical_fov=30.0)
     assert [(options["camera"], options["caption"]) for options in calls] == [(camera, False), (None, True)]
-    assert main([*command, "--receiver", "omg", "--plan", *place]) == 2
-    assert "do not apply to --plan" in capsys.readouterr().err

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 import handover_marl
 from handover_marl.config import GiverConfig, PandaConfig, ProtocolConfig, WorldConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.episode.observations import add_episode_axis
 from handover_marl.episode.spaces import check_giver_action, giver_action_space, receiver_action_space
 from handover_marl.errors import HandoverError, OptionError
 from handover_marl.learning.array_features import compute_handover_frames
@@ -18,7 +19,7 @@ from handover_marl.learning.custom_encodings import declare_size
 from handover_marl.learning.features import make_features
 from handover_marl.learning.giver_schemes import HandoverPoseScheme
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
-from handover_marl.learning.schemes import count_outputs, list_schemes, make_scheme, outputs_from_action
+from handover_marl.learning.schemes import count_outputs, list_schemes, make_scheme
 from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.receivers import WAITING_JOINTS, make_policy_context
 from tests.givers.test_givers import START, seen
@@ -60,13 +61,6 @@ def test_handover_pose_moves_and_rotates_the_object_about_its_center(values: np.
         axes.T @ (place - item), values[:3] * HandoverPoseScheme.max_output_translation, atol=1e-5
     )
     np.testing.assert_allclose(axes.T @ action[4:7], values[3:6] * HandoverPoseScheme.max_output_rotation, atol=1e-6)
-
-
-@given(outputs)
-def test_outputs_follow_from_the_action_of_a_handover_pose(values: np.ndarray) -> None:
-    scheme = make_scheme("giver", "offer", CONTEXT)
-    found = outputs_from_action(scheme, handover_action(values), seen())
-    np.testing.assert_allclose(found[:6], values[:6], atol=1e-5)
 
 
 def test_outputs_are_needed_once_when_the_recording_arrives() -> None:
@@ -112,22 +106,19 @@ def test_cartesian_delta_moves_the_gripper_in_its_own_frame() -> None:
 @pytest.mark.parametrize("name", ["joint_delta", "cartesian_delta"])
 def test_outputs_follow_from_the_action_of_a_receiver(name: str) -> None:
     scheme = make_scheme("receiver", name, CONTEXT)
+    observation: Any = add_episode_axis(seen())
     values = np.random.default_rng(0).uniform(-0.8, 0.8, scheme.size)
     values[-1] = 1.0
     scheme.set_outputs(values)
     action = scheme.compute_action(seen())
     # The damping of the least squares shortens motions a little.
-    np.testing.assert_allclose(outputs_from_action(scheme, action, seen()), values, atol=0.05)
+    (found,) = scheme.scheme.outputs_from_actions(action[None], observation)
+    np.testing.assert_allclose(found, values, atol=0.05)
     far = action.copy()
     far[:7] = START[:7] + 5 * (action[:7] - START[:7])
-    found = outputs_from_action(scheme, far, seen())
+    (found,) = scheme.scheme.outputs_from_actions(far[None], observation)
     assert abs(found).max() <= 1.0
     np.testing.assert_allclose(found[:3] / values[:3], np.full(3, found[0] / values[0]), rtol=0.1)
-
-
-def test_a_scheme_that_cannot_be_inverted_names_those_that_can() -> None:
-    with pytest.raises(OptionError, match=r"grasp_servo.*cannot imitate; use one of .*cartesian_delta"):
-        outputs_from_action(make_scheme("receiver", "grasp_servo", CONTEXT), START, seen())
 
 
 def test_grasp_servo_waits_then_approaches_a_grasp() -> None:

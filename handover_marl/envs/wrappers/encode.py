@@ -70,7 +70,7 @@ class EncodedEnv(ParallelWrapper):
         agents = self.possible_agents
         vectors = [agent for agent in agents if not isinstance(env.observation_space(agent), spaces.Dict)]
         if vectors:
-            raise OptionError(f"observations of the {vectors[0]} are vectors already; encode once, before flattening")
+            raise OptionError(f"observations of the {vectors[0]} are vectors already; encode once")
         chosen_features = _complete_choices("features", DEFAULT_FEATURES, features, agents)
         chosen_schemes = _complete_choices("action_scheme", DEFAULT_SCHEMES, action_scheme, agents)
         base = self.unwrapped
@@ -105,9 +105,9 @@ class EncodedEnv(ParallelWrapper):
         space: spaces.Box = self._output_spaces[agent]
         return space
 
-    def convert_observation(self, agent: str, observation: Observation) -> Vector:
-        """Compute the features (m,) of an agent's observation."""
-        return self._features[agent](observation)
+    def _compute_features(self) -> dict[str, Vector]:
+        """Return the features (m,) of the last observation of each agent."""
+        return {agent: self._features[agent](observation) for agent, observation in self._observations.items()}
 
     def get_last_observation(self, agent: str) -> Observation:
         """Return the last observation of an agent as the environment returned it, before it was encoded.
@@ -136,7 +136,7 @@ class EncodedEnv(ParallelWrapper):
             while len(self.possible_agents) == 1 and self.agents and not self._needs_outputs():
                 self._observations, _, _, _, infos = self._advance()
             if self.agents:
-                return self._convert_observations(self._observations), infos
+                return self._compute_features(), infos
         raise make_no_outputs_error(self.possible_agents[0])
 
     def step(self, actions: dict[str, Any]) -> ParallelStep:
@@ -174,7 +174,7 @@ class EncodedEnv(ParallelWrapper):
             for agent, info in infos.items():
                 terms = [key for key in info if key.startswith(REWARD_PREFIX)]
                 info.update({key: info[key] + before[agent][key] for key in terms})
-        return self._convert_observations(self._observations), rewards, terminations, truncations, infos
+        return self._compute_features(), rewards, terminations, truncations, infos
 
     def _advance(self) -> ParallelStep:
         step: ParallelStep = self.env.step(

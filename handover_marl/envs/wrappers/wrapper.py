@@ -4,9 +4,7 @@ from collections.abc import Sequence
 from typing import Any, Literal, TypeAlias
 
 import gymnasium
-import numpy as np
 import numpy.typing as npt
-from gymnasium import spaces
 from gymnasium.utils import EzPickle
 from pettingzoo.utils.wrappers import BaseParallelWrapper
 
@@ -59,23 +57,6 @@ class ParallelWrapper(BaseParallelWrapper, EzPickle):  # type: ignore[misc]
         """Names of the agents of the running episode; empty if no episode is running."""
         return [agent for agent in self.env.agents if agent in self.possible_agents]
 
-    def convert_observation(self, agent: str, observation: Any) -> Any:
-        """Convert an observation of the wrapped environment to this wrapper's; the base class returns it unchanged."""
-        return observation
-
-    def reset(self, seed: int | None = None, options: ByAgent | None = None) -> tuple[ByAgent, ByAgent]:
-        """Start an episode; arguments and result as in `HandoverEnv.reset`."""
-        observations, infos = self.env.reset(seed=seed, options=options)
-        return self._convert_observations(observations), infos
-
-    def step(self, actions: dict[str, Any]) -> ParallelStep:
-        """Let the agents act for one control period; arguments and result as in `HandoverEnv.step`."""
-        observations, *rest = self.env.step(actions)
-        return self._convert_observations(observations), *rest
-
-    def _convert_observations(self, observations: ByAgent) -> ByAgent:
-        return {agent: self.convert_observation(agent, value) for agent, value in observations.items()}
-
 
 def check_env(env: object) -> None:
     """Check that a value is a `HandoverEnv` or a PettingZoo wrapper of one.
@@ -98,46 +79,6 @@ def list_wrappers(env: WrappableEnv) -> list[Any]:
         wrappers.append(env)
         env = env.env
     return wrappers
-
-
-class FlattenedEnv(ParallelWrapper):
-    """Wrapper whose observations are vectors in the order of Gymnasium's `flatten`.
-
-    Actions are unchanged. Made by `flatten`.
-
-    Args:
-        env: Environment to flatten; observations that are vectors already are unchanged.
-    """
-
-    metadata: dict[str, Any] = {**HandoverEnv.metadata, "name": "handover_flattened_v0"}
-
-    def __init__(self, env: WrappableEnv) -> None:
-        super().__init__(env)
-        EzPickle.__init__(self, env)
-        self._flat: dict[str, Any] = {
-            agent: spaces.flatten_space(env.observation_space(agent)) for agent in self.possible_agents
-        }
-
-    def observation_space(self, agent: str) -> spaces.Box:
-        """Return the space of the agent's flattened observations."""
-        space: spaces.Box = self._flat[agent]
-        return space
-
-    def convert_observation(self, agent: str, observation: Any) -> Array:
-        """Flatten an agent's observation to one vector."""
-        vector: Any = spaces.flatten(self.env.observation_space(agent), observation)
-        return np.asarray(vector, dtype=self._flat[agent].dtype)
-
-
-def flatten(env: WrappableEnv) -> FlattenedEnv:
-    """Return an environment in which each agent's observation is one vector of all its numbers, unscaled.
-
-    `encode` makes vectors, too: fewer features, scaled for small networks.
-
-    Args:
-        env: `handover_marl.parallel_env(...)`, or `freeze(...)` of it.
-    """
-    return FlattenedEnv(env)
 
 
 class EpisodeReturns(ParallelWrapper):

@@ -24,7 +24,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::UserWarning", "ignore::Deprecat
 
 
 SMALL: dict[str, Any] = {"dataset": "synthetic", "num_envs": 1, "val_scenes": 1, "eval_start": False}
-GIVER = {**SMALL, "receiver": "hold", "batch_size": 2, "demonstrations": 1, "imitation_epochs": 2, "eval_interval": 4}
+GIVER = {**SMALL, "agent": "giver", "partner": "hold", "physics": "fast", "batch_size": 2, "eval_interval": 4}
 RECEIVER = {**SMALL, "batch_size": 8, "time_limit": 0.6, "eval_interval": 16, "rewards": REWARDS}
 MADE = {"arguments.json", "policy.npz", "checkpoint.zip", "progress.csv", "tensorboard"}
 
@@ -42,7 +42,7 @@ def _short_evaluations(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 def test_train_giver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    train = script("train_giver_sb3", monkeypatch)
+    train = script("train_sb3", monkeypatch)
     args = {**GIVER, "out": str(tmp_path / "run"), "time_limit": 3.0}
     train.main(train.Args(**args, decisions=2))
     assert files(tmp_path / "run") == MADE
@@ -60,19 +60,9 @@ def test_train_giver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.slow
-def test_first_decisions_are_those_of_the_teacher(monkeypatch: pytest.MonkeyPatch) -> None:
-    train = script("train_giver_sb3", monkeypatch)
-    inputs, outputs = train.record_first_decisions(train.Args(**GIVER | {"demonstrations": 2}), 1)
-    assert inputs.shape == (2, 39)
-    assert len(np.unique(outputs[:, :6], axis=0)) == 2
-    again = train.record_first_decisions(train.Args(**GIVER), 1)
-    np.testing.assert_array_equal(again[0][0], inputs[0])
-
-
-@pytest.mark.slow
 def test_train_receiver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("mujoco", reason="needs MuJoCo")
-    train = script("train_receiver_sb3", monkeypatch)
+    train = script("train_sb3", monkeypatch)
     own = "tests.learning.custom"
     args = {**RECEIVER, "out": str(tmp_path / "run"), "actions": f"{own}:FirstJoint"}
     args["features"] = f"{own}:OffsetAndCount"
@@ -91,7 +81,7 @@ def test_runs_are_not_resumed_on_another_dataset(
     tmp_path: Path, fake_data: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A run with the dataset "auto" is not resumed if an environment variable now selects another dataset."""
-    train = script("train_receiver_sb3", monkeypatch)
+    train = script("train_sb3", monkeypatch)
     args = train.Args(setup="s0", out=str(tmp_path / "run"), resume=True)
     open_run_folder(tmp_path / "run", args, False, "synthetic")
     monkeypatch.setenv(DATA_DIR_VARIABLE, str(fake_data))
@@ -102,7 +92,7 @@ def test_runs_are_not_resumed_on_another_dataset(
 @pytest.mark.slow
 def test_a_wrong_name_leaves_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("mujoco", reason="needs MuJoCo")
-    train = script("train_receiver_sb3", monkeypatch)
+    train = script("train_sb3", monkeypatch)
     with pytest.raises(UnknownNameError, match="did you mean"):
         train.main(train.Args(**RECEIVER, features="clos", out=str(tmp_path / "run")))
     assert not (tmp_path / "run").exists()

@@ -47,7 +47,7 @@ def train(calls: list[Any], monkeypatch: pytest.MonkeyPatch) -> ModuleType:
         return write("giver", Path(args.out) / "policy.npz")
 
     monkeypatch.setattr(module.train_receiver_ppo, "main", train_receiver)
-    monkeypatch.setattr(module.train_giver_sb3, "main", train_giver)
+    monkeypatch.setattr(module.train_sb3, "main", train_giver)
     return module
 
 
@@ -77,11 +77,11 @@ def test_fictitious_co_play(train: ModuleType, calls: list[Any], tmp_path: Path)
     (giver,) = train.main(train.Args(**common, ego="giver"))
     policies = [parse_policy("receiver", calls[8].giver), parse_policy("giver", calls[8].giver)]
     assert receiver == tmp_path / "receiver_fictitious_co_play" / "0.npz"
-    for policy in (policies[1], parse_policy("receiver", calls[9].receiver)):
+    for policy in (policies[1], parse_policy("receiver", calls[9].partner)):
         made: Any = policy.make(SyntheticDataset())
         assert len(made.members) == 4
-    assert [call.decisions for call in calls[:4]] == [6144, 12288, 256, 512]
-    assert calls[2].receiver == calls[3].receiver == f"learned:{tmp_path}/pairs/receiver_final_1000.npz"
+    assert [call.decisions for call in calls[:4]] == [6144, 12288, 4096, 8192]
+    assert calls[2].partner == calls[3].partner == f"learned:{tmp_path}/pairs/receiver_final_1000.npz"
     # The giver continues its own training.
     assert [call.resume for call in calls[2:4]] == [False, True]
     assert len(calls) == 10

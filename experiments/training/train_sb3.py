@@ -1,14 +1,25 @@
-"""Training of one agent with Stable-Baselines3's PPO. The module needs the extra `train`."""
+"""Train one agent for a frozen partner with Stable-Baselines3's PPO.
+
+The script needs the extra `train`, and by default MuJoCo; `--physics fast` does not need it, but is slower.
+
+    python experiments/training/train_sb3.py --data-dir DIR --out runs/receiver
+    python experiments/training/train_sb3.py --data-dir DIR --agent giver --partner yang2021 --out runs/giver
+
+A receiver learns when to close the gripper, and to correct the approach to a grasp (action scheme `grasp_servo`). An
+episode of a giver is one decision, the handover pose of the object (action scheme `offer`); the rest of the person's
+motion is scripted. The policy learns from the reward of a success, on nine tenths of a training split, with evaluations
+without exploration noise on the validation split. The folder gets `policy.npz` (`--receiver
+learned:runs/receiver/policy.npz`), `progress.csv`, TensorBoard logs, and a checkpoint, from which `--resume` continues.
+"""
 
 import json
 import math
 import sys
 import time
 import zipfile
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from stable_baselines3 import PPO
@@ -39,21 +50,32 @@ from handover_marl.learning.training.run_folder import (
     spawn_seeds,
     summarize_evaluation,
 )
-from handover_marl.learning.training.scene_arguments import RlArgs
+from handover_marl.learning.training.scene_arguments import RlArgs, run_script
+from handover_marl.policies.reference import parse_policy
 from handover_marl.simulation.engines import MUJOCO
 
 _CHECKPOINT = "checkpoint.zip"
 
 
+# Features, action scheme and frozen partner by default.
+_DEFAULTS = {"receiver": ("close", "grasp_servo", "cooperative"), "giver": ("giver", "offer", "yang2021")}
+
+
 @dataclass(frozen=True)
-class PpoArgs(RlArgs):
-    """Arguments of the scripts that train one agent with Stable-Baselines3's PPO.
+class Args(RlArgs):
+    """Arguments of the training of one agent.
 
     Attributes:
         out: Folder of the run.
-        features: Name of the features that the learning agent observes, or module:name of user-defined features.
-        actions: Name of the learning agent's action scheme, or module:name of a user-defined scheme.
+        agent: Agent that learns.
+        partner: Policy of the other agent, with options; default: cooperative for receivers, yang2021 for givers.
+        features: Name of the features that the learning agent observes, or module:name of user-defined features;
+            default: close for receivers, giver for givers.
+        actions: Name of the learning agent's action scheme, or module:name of a user-defined scheme; default:
+            grasp_servo for receivers, offer for givers.
         rewards: Reward: sparse, shaped, or module:name of a user-defined reward.
+        gripper_initial_std: Initial standard deviation of a receiver's output that closes the gripper: random closing
+            succeeds now and then, so it is explored more than the motion.
         num_envs: Number of environments simulated in parallel; 0 means 64 with mujoco, else 8.
         minutes: Largest wall-clock time (min).
         eval_interval: Number of decisions between evaluations.
@@ -61,17 +83,26 @@ class PpoArgs(RlArgs):
         resume: Whether to continue the run in the folder `out`.
     """
 
-    out: str = "runs/training"
-    features: str = "close"
-    actions: str = "grasp_servo"
+    out: str = "runs/sb3"
+    agent: Literal["receiver", "giver"] = "receiver"
+    partner: str = ""
+    features: str = ""
+    actions: str = ""
     rewards: str = "sparse"
+    gripper_initial_std: float = 0.45
     num_envs: int = 0
-    minutes: float = 30.0
-    eval_interval: int = 8_192
+    decisions: int = 500_000
+    minutes: float = 24.0
+    learning_rate: float = 7e-4
+    discount: float = 0.97
+    initial_std: float = 0.15
+    eval_interval: int = 24_576
     eval_start: bool = True
     resume: bool = False
 
     def __post_init__(self) -> None:
+        for name, value in zip(("features", "actions", "partner"), _DEFAULTS[self.agent], strict=True):
+            object.__setattr__(self, name, getattr(self, name) or value)
         # `module:name` may be in the working folder, which Python does not search when it runs a script.
         folder = str(Path.cwd())
         if folder not in sys.path and any(is_reference(value) for value in vars(self).values()):
@@ -96,26 +127,14 @@ class PpoArgs(RlArgs):
         )
 
 
-def train_agent(args: PpoArgs, script: str, agent: str, partner: str, prepare: Callable[[PPO], None]) -> Path:
-    """Train one agent by PPO with a frozen partner, from a checkpoint if `args.resume` is set and there is one.
-
-    The folder `args.out` gets `policy.npz`, a checkpoint, TensorBoard logs, and the same values in `progress.csv`.
-
-    Args:
-        args: Arguments of the training.
-        script: Name of the training script, which the policy file records.
-        agent: Agent that learns, "giver" or "receiver".
-        partner: Name of the other agent's policy.
-        prepare: Function that initializes the model of a new run, before the first evaluation.
-
-    Returns:
-        Path of the policy file.
-    """
+def main(args: Args) -> Path:
+    """Train the agent, from a checkpoint if `args.resume` is set and there is one; return the path of its file."""
     torch.set_num_threads(1)
     args = args.resolve_setup()
+    parse_policy("giver" if args.agent == "receiver" else "receiver", args.partner)
     # Both check arguments, so that the folder is made only for a run that can start.
-    model, envs = _make_ppo(args, agent, partner)
-    callback = EvaluationCallback(args, script, agent, partner)
+    model, envs = _make_ppo(args)
+    callback = EvaluationCallback(args)
     folder = open_run_folder(Path(args.out), args, args.resume, args.open_dataset().name)
     checkpoint = folder / _CHECKPOINT
     if args.resume and checkpoint.exists():
@@ -125,8 +144,9 @@ def train_agent(args: PpoArgs, script: str, agent: str, partner: str, prepare: C
             model.num_timesteps = json.loads(archive.read("data"))["num_timesteps"]
         # Other episodes than those before the interruption.
         envs.seed(spawn_seeds(1, args.seed, model.num_timesteps)[0])
-    else:
-        prepare(model)
+    elif args.agent == "receiver":
+        with torch.no_grad():
+            model.policy.log_std[-1] = math.log(args.gripper_initial_std)
     suffix = f"_{model.num_timesteps}" if model.num_timesteps else ""
     formats = [make_output_format("csv", str(folder), suffix)]
     model.set_logger(Logger(str(folder), [*formats, make_output_format("tensorboard", str(folder / "tensorboard"))]))
@@ -137,12 +157,12 @@ def train_agent(args: PpoArgs, script: str, agent: str, partner: str, prepare: C
     return folder / POLICY
 
 
-def _make_ppo(args: PpoArgs, agent: str, partner: str) -> tuple[PPO, VecMonitor]:
-    """Make an untrained model of `agent` and its environments, which are seeded and run in one process per core."""
+def _make_ppo(args: Args) -> tuple[PPO, VecMonitor]:
+    """Make an untrained model and its environments, which are seeded and run in one process per core."""
     envs = vector_env(
         args.resolved_num_envs,
-        agent,
-        partner,
+        args.agent,
+        args.partner,
         features=args.features,
         action_scheme=args.actions,
         wrappers=[EpisodeReturns],
@@ -177,19 +197,18 @@ class EvaluationCallback(BaseCallback):
 
     Args:
         args: Arguments of the training, with a setup.
-        script: Name of the training script.
-        agent: Agent that learns.
-        partner: Name of the other agent's policy.
     """
 
-    def __init__(self, args: PpoArgs, script: str, agent: str, partner: str) -> None:
+    def __init__(self, args: Args) -> None:
         super().__init__()
-        (other,) = set(AGENTS) - {agent}
+        (other,) = set(AGENTS) - {args.agent}
         self._args, self._folder, self._next = args, Path(args.out), 0
-        self._spec = PolicySpec(agent, args.features, args.actions, args.control_period, describe_origin(script, args))
+        self._spec = PolicySpec(
+            args.agent, args.features, args.actions, args.control_period, describe_origin("train_sb3", args)
+        )
         val = select_scenes_evenly(args.open_dataset().list_scenes(args.setup, "val"), args.val_scenes)
         where = (args.setup, "val", val, args.dataset, args.data_dir, args.physics)
-        policies: dict[str, Any] = {agent: f"learned:{self._folder / POLICY}", other: partner}
+        policies: dict[str, Any] = {args.agent: f"learned:{self._folder / POLICY}", other: args.partner}
         self._config = EvaluationConfig(*where, **policies)
         # User-defined features and schemes were named by the caller, so they may be imported.
         trust = is_reference(args.features) or is_reference(args.actions)
@@ -223,3 +242,7 @@ class EvaluationCallback(BaseCallback):
         part = self._folder / f"part_{_CHECKPOINT}"
         self.model.save(part)
         part.replace(self._folder / _CHECKPOINT)
+
+
+if __name__ == "__main__":
+    print(run_script(main, Args, __doc__))
