@@ -13,7 +13,6 @@ import sys
 import threading
 import time
 import uuid
-import warnings
 from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -48,9 +47,6 @@ _CONNECTION_TIMEOUT_S = 20.0
 class Pool:
     """Pool of worker processes on this machine; a single worker is the caller's process.
 
-    When a worker dies (e.g. killed because memory is short), loky ends all workers. Their tasks are then run again,
-    one at a time, so that the task that kills its worker is identified.
-
     Args:
         n_workers: Number of processes, which is the number of tasks that run at a time.
 
@@ -82,8 +78,8 @@ class Pool:
             describe: Short description of a task for messages, such as "simulating scene 209".
 
         Raises:
-            WorkerError: A worker process died twice over the same task, or a task failed with an
-                error that is not one of this library.
+            WorkerError: A worker process died, e.g. killed because memory is short, or a task failed with an error that
+                is not one of this library.
             HandoverError: A task failed with this error of the library.
         """
         if min(self.n_workers, len(tasks)) <= 1:
@@ -93,59 +89,38 @@ class Pool:
                         yield index, function(task)
             return
         job = uuid.uuid4().hex, pickle_by_value((open_worker, describe))
-        pending, suspects = dict(enumerate(tasks)), dict[int, Task]()
-        while pending:
-            chosen = suspects or pending
-            n_workers = 1 if suspects else min(self.n_workers, len(pending))
-            running: dict[Future[bytes], int] = {}
-            try:
-                for index, result in self._run_tasks(job, dict(chosen), n_workers, running):
-                    del pending[index]
-                    yield index, result
-                suspects = {}
-            except BrokenProcessPool as error:
-                listed = ", ".join(describe(pending[index]) for index in running.values())
-                match = _EXIT_CODES.search(str(error))
-                reason = f"exit code {match[1]}" if match else type(error).__name__
-                if suspects:
-                    raise WorkerError(
-                        f"a worker process died twice while {listed} ({reason}); finished results are kept. Use fewer "
-                        "workers if memory is short, or workers=1 to see the failure in this process."
-                    ) from error
-                warnings.warn(
-                    f"a worker process died ({reason}) while {listed}; retrying", RuntimeWarning, stacklevel=2
-                )
-                suspects = {index: pending[index] for index in running.values()}
-
-    def close(self) -> None:
-        """End the processes, even in the middle of a task."""
-        if self._executor is not None:
-            self._executor.shutdown(wait=True, kill_workers=True)
-            self._executor = None
-
-    def _run_tasks(
-        self, job: tuple[str, bytes], tasks: dict[int, Any], n_workers: int, running: dict[Future[bytes], int]
-    ) -> Generator[tuple[int, Any], None, None]:
-        """Run a job's tasks, given by index, in `n_workers` processes; yield (index, result) as tasks finish.
-
-        Indices of submitted tasks are put into `running`. No more are submitted than workers exist, so that these are
-        the ones that ran when a worker died.
-        """
+        n_workers = min(self.n_workers, len(tasks))
         if self._executor is None or self._n_processes < n_workers:
             self.close()
             self._executor, self._n_processes = ProcessPoolExecutor(n_workers, initializer=_start_worker), n_workers
-        waiting = list(reversed(tasks))
+        waiting, running = list(reversed(range(len(tasks)))), dict[Future[bytes], int]()
         try:
             while waiting or running:
+                # No more are submitted than processes exist, so that these are the ones that run if a process dies.
                 while waiting and len(running) < n_workers:
                     task = pickle_by_value(tasks[waiting[-1]])
                     running[self._executor.submit(run_pickled_task, *job, task)] = waiting.pop()
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
                     answer = future.result()
                     yield running.pop(future), unpickle_result(answer)
+        except BrokenProcessPool as error:
+            self.close()
+            match = _EXIT_CODES.search(str(error))
+            raise WorkerError(
+                f"a worker process died while {', '.join(describe(tasks[index]) for index in running.values())} "
+                f"({f'exit code {match[1]}' if match else type(error).__name__}); finished results are kept, and the "
+                "same call continues. Use fewer workers if memory is short, or workers=1 to see the failure in this "
+                "process."
+            ) from error
         except BaseException:
             self.close()
             raise
+
+    def close(self) -> None:
+        """End the processes, even in the middle of a task."""
+        if self._executor is not None:
+            self._executor.shutdown(wait=True, kill_workers=True)
+            self._executor = None
 
 
 def _start_worker() -> None:
