@@ -39,7 +39,6 @@ from handover_marl.learning.training.run_folder import (
     describe_origin,
     open_run_folder,
     print_validation,
-    select_training_scenes,
     spawn_seeds,
 )
 from handover_marl.learning.training.scene_arguments import SetupArgs, run_script
@@ -137,7 +136,7 @@ class Collector:
             autoreset="same_step",
             setup=args.setup,
             split="train",
-            scenes=select_training_scenes(dataset.list_scenes(args.setup, "train")),
+            scenes=args.training_scenes,
             dataset=args.dataset,
             data_dir=args.data_dir,
             control_period=CONTROL_PERIOD,

@@ -143,6 +143,7 @@ class Collector:
             processes=1,
             setup=args.setup,
             split="train",
+            scenes=args.training_scenes,
             dataset=args.dataset,
             data_dir=args.data_dir,
             control_period=self.period,

@@ -46,7 +46,6 @@ from handover_marl.learning.training.run_folder import (
     POLICY,
     describe_origin,
     open_run_folder,
-    select_training_scenes,
     spawn_seeds,
     summarize_evaluation,
 )
@@ -120,11 +119,7 @@ class Args(RlArgs):
 
     def make_env_config(self) -> EnvConfig:
         """Create the configuration of the environment on the training scenes."""
-        return EnvConfig(
-            **self.env_options,
-            rewards=set_discount(self.rewards, self.discount),
-            scenes=select_training_scenes(self.open_dataset().list_scenes(self.setup, "train")),
-        )
+        return EnvConfig(**self.env_options, rewards=set_discount(self.rewards, self.discount))
 
 
 def main(args: Args) -> Path:

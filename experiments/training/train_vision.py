@@ -24,8 +24,7 @@ from handover_marl.learning.imitation.samples import join_samples
 from handover_marl.learning.imitation.vision.training import GraspLearner, ViewBatches
 from handover_marl.learning.imitation.vision.views import GraspViewConfig, GraspViews, generate_views
 from handover_marl.learning.networks.grasp_network import GraspNetwork
-from handover_marl.learning.training.run_folder import select_held_out_scenes, select_training_scenes
-from handover_marl.learning.training.scene_arguments import run_script
+from handover_marl.learning.training.scene_arguments import run_script, select_held_out_scenes, select_training_scenes
 
 # Number of held-out views for the metrics.
 N_HELD_OUT = 1500

@@ -21,22 +21,10 @@ POLICY, CHECKPOINT = "policy.npz", "checkpoint.pt"
 _FAILURES = ("contact", "drop", "timeout")
 _ARGUMENTS = "arguments.json"
 _MAX_CHECKPOINT_BYTES = 20_000_000_000
-# Every tenth scene of a training split is held out.
-_HELD_OUT = 10
 # Arguments that may change when a run is resumed: durations and paths.
 _FREE = ("resume", "out", "data_dir", "decisions", "minutes")
 # Arguments that the description of a policy's training omits: paths, and those without effect.
 _UNRECORDED_ARGUMENTS = ("out", "data_dir", "resume", "workers")
-
-
-def select_training_scenes(scene_ids: Sequence[int]) -> tuple[int, ...]:
-    """Return the scenes of a training split that are used for training: all but every tenth, which is held out."""
-    return tuple(scene for number, scene in enumerate(scene_ids) if number % _HELD_OUT)
-
-
-def select_held_out_scenes(scene_ids: Sequence[int]) -> tuple[int, ...]:
-    """Return every tenth scene of a training split, which is held out from training to measure losses."""
-    return tuple(scene_ids[::_HELD_OUT])
 
 
 def spawn_seeds(count: int, *entropy: int) -> list[int]:

@@ -2,7 +2,7 @@
 
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -15,6 +15,8 @@ from handover_marl.geometry.panda import PANDA
 if TYPE_CHECKING:
     from typing_extensions import Self
 
+# Every tenth scene of a training split is held out.
+_HELD_OUT = 10
 _Args = TypeVar("_Args")
 _Result = TypeVar("_Result")
 
@@ -25,6 +27,16 @@ def run_script(main: Callable[[_Args], _Result], arguments: type[_Args], descrip
         return main(tyro.cli(arguments, description=description))
     except HandoverError as error:
         sys.exit(f"error: {error}")
+
+
+def select_training_scenes(scene_ids: Sequence[int]) -> tuple[int, ...]:
+    """Return the scenes of a training split that are used for training: all but every tenth, which is held out."""
+    return tuple(scene for number, scene in enumerate(scene_ids) if number % _HELD_OUT)
+
+
+def select_held_out_scenes(scene_ids: Sequence[int]) -> tuple[int, ...]:
+    """Return every tenth scene of a training split, which is held out from training to measure losses and success."""
+    return tuple(scene_ids[::_HELD_OUT])
 
 
 @dataclass(frozen=True)
@@ -62,6 +74,12 @@ class SetupArgs(DatasetArgs):
             UnknownNameError: The dataset has no such setup.
         """
         return replace(self, setup=self.open_dataset().resolve_setup(self.setup))
+
+    @property
+    def training_scenes(self) -> tuple[int, ...]:
+        """Scenes of the setup's training split that are used for training, see `select_training_scenes`."""
+        dataset = self.open_dataset()
+        return select_training_scenes(dataset.list_scenes(dataset.resolve_setup(self.setup), "train"))
 
 
 @dataclass(frozen=True)
@@ -128,7 +146,7 @@ class RlArgs(SetupArgs):
     def env_options(self) -> dict[str, Any]:
         """Keyword arguments of training environments: scenes, physics, control period and largest number of steps."""
         names = ("setup", "dataset", "data_dir", "physics", "control_period", "max_cycles")
-        return {"split": "train"} | {name: getattr(self, name) for name in names}
+        return {"split": "train", "scenes": self.training_scenes} | {name: getattr(self, name) for name in names}
 
     @property
     def max_cycles(self) -> int:
