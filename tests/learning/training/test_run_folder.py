@@ -62,13 +62,6 @@ def test_every_tenth_scene_is_held_out() -> None:
     scenes = tuple(range(100, 200))
     assert set(select_training_scenes(scenes)) | set(select_held_out_scenes(scenes)) == set(scenes)
     assert not set(select_training_scenes(scenes)) & set(select_held_out_scenes(scenes))
-
-
-def test_training_environments_leave_out_held_out_scenes() -> None:
-    args = RlArgs(dataset="synthetic")
-    all_scenes = args.open_dataset().list_scenes("s0", "train")
-    assert args.env_options["scenes"] == select_training_scenes(all_scenes)
-    assert len(all_scenes) > 100
     assert select_scenes_evenly(scenes, 3) in ((100, 150, 199), (100, 149, 199), (100, 150, 199))
     assert select_scenes_evenly(scenes, 1000) == scenes
     with pytest.raises(OptionError, match="of at least 1, got 0"):
@@ -81,3 +74,10 @@ def test_origin_has_arguments_but_no_paths() -> None:
     assert "seed=7" in text
     assert "/home/me" not in text
     assert "/secret" not in text
+
+
+def test_training_environments_leave_out_held_out_scenes() -> None:
+    args = RlArgs(dataset="synthetic")
+    all_scenes = args.open_dataset().list_scenes("s0", "train")
+    assert args.env_options["scenes"] == select_training_scenes(all_scenes)
+    assert len(all_scenes) > 100
