@@ -1,7 +1,7 @@
 """1000 generated handovers whose statistics follow DexYCB; no license restricts their use.
 
-A scene is a pure function of its number and of `VERSION`. As in DexYCB, there are 100 scenes of each subject, and five
-of each object.
+A scene is a pure function of its number and of `VERSION`. As in DexYCB, there are 100 scenes of each subject, five
+with each object.
 """
 
 from functools import cache, lru_cache

@@ -8,7 +8,7 @@ from handover_marl.config import OFFICIAL_CONFIG, PANDA_DOF, GiverConfig
 from handover_marl.errors import ActionError, UnknownNameError
 from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
 
-#: Parts of an observation mode, joined by "+": the simulator's state, and data of cameras, named as in ManiSkill.
+#: Parts of an observation mode, joined by "+": the simulator's state, and data of cameras.
 #: Without "state", an observation has only the keys `observations.PROPRIOCEPTION` of the state beside the
 #: camera's data (joint positions and velocities, pose of the hand link, time), so that a policy cannot use the true
 #: poses by accident.

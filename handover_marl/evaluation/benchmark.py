@@ -65,7 +65,7 @@ def benchmark(
         PolicyError: The receiver's code failed.
         OptionError: `workers` is less than one, the world or the giver is not the official one, or inference takes
             simulated time.
-        WorkerError: Two worker processes died over the same scene.
+        WorkerError: A worker process died; on Ray twice over the same scene.
     """
     config, execution = build_configs(setup, options, execution, split=split, receiver=receiver)
     if config.world_config != OFFICIAL_CONFIG:

@@ -123,7 +123,9 @@ class _LoaderWithoutAliases(yaml.SafeLoader):
 
 @contextlib.contextmanager
 def report_damage(path: Path, what: str, advice: str) -> Iterator[None]:
-    """Turn exceptions of a reader in a `with` block into errors that name file, kind (`what`) and remedy (`advice`).
+    """Turn exceptions in a `with` block that reads a file into errors of the library.
+
+    The errors name the file, what it is (`what`), and what the user can do (`advice`).
 
     Readers of damaged files raise exceptions of many types. Errors that already name the file are not changed.
 

@@ -218,7 +218,7 @@ def find_nearest_euler_branch(angles: AnyArray, previous: AnyArray) -> tuple[Any
 
 
 def find_nearest_euler(angles: AnyArray, previous: AnyArray) -> AnyArray:
-    """Return the XYZ Euler angles (n, 3) of the rotations with `angles` (n, 3), nearest to `previous` (n, 3) (rad)."""
+    """Return angles (n, 3) of the same rotations as `angles` (n, 3), nearest to `previous` (n, 3): XYZ Euler, rad."""
     xp, solutions = get_namespace(angles), _euler_solutions(angles)
     solution, turns = find_nearest_euler_branch(angles, previous)
     return xp.where(solution[:, None] == 0, solutions[:, 0], solutions[:, 1]) + 2.0 * np.pi * turns

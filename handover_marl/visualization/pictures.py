@@ -37,7 +37,6 @@ FRAME_PERIOD_MS = 80
 # Height of a caption's letters as share of the image's height, and their smallest height (pixels).
 _CAPTION_SHARE, _MIN_CAPTION_HEIGHT = 1 / 22, 8
 _DPI = 100
-_HALF_EXTENT = 0.45  # m from the target object to the edges of the figure
 # Success rate above which a cell is so dark that its text is white.
 _WHITE_TEXT_THRESHOLD = 0.55
 # Longest line, and most lines, of the name of a policy with many options.

@@ -47,7 +47,7 @@ class GraspableObject:
 
     Attributes:
         grasps: Grasps at which the flange behind the hand link does not touch the object.
-        pad_margins: (n,) distances of each grasp's contacts from the tip and edges of the finger pads (m).
+        pad_margins: (n,) margin of each grasp: smallest distance of its contacts from tip and edges of the pads (m).
         surface: Spheres that approximate the object's surface coarsely.
         points: (k, 3) dense points on the object's surface (m).
         center: (3,) center of the object's bounding box (m).

@@ -141,7 +141,9 @@ def _check_own(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
             # Other data sets define other setups.
             is_official = config.setup is not None and ":" not in config.dataset
             setup = config.setup if config.setup and is_official else "s0"
-            list_split_scenes(setup, config.split, lambda scene: "right")
+            scenes = list_split_scenes(setup, config.split, get_prescribed_side)
+            if is_official and config.setup:
+                choose_scenes(scenes, config.scenes, setup)
             for agent in ("giver", "receiver"):
                 parse_policy(agent, getattr(config, agent))
         agent = option.removesuffix("s")
@@ -184,6 +186,7 @@ def test_a_wrong_command_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     for text in (
         "handover-marl benchmark --recever hold",
         "handover-marl benchmark --receiver nobody",
+        "handover-marl benchmark --setup s0 --scenes 9",
         "handover-marl crossplay --givers nobody --receivers hold",
         "python experiments/make_results.py --scenes 37",
         "make everything",

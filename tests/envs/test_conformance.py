@@ -19,6 +19,9 @@ from tests.helpers.equality import assert_equal
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::UserWarning")]
 
 
+CAMERAS = (handover_marl.make_camera("wrist", width=32, height=32),)
+
+
 def make(**options: Any) -> HandoverEnv:
     fixed: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "split": "val", "scenes": [9], "max_cycles": 3}
     return handover_marl.parallel_env(**fixed, **options)
@@ -30,6 +33,7 @@ KINDS: dict[str, Callable[[], Any]] = {
     "receiver": lambda: freeze(make(obs_mode="state+pointcloud"), "receiver", "noisy"),
     "giver": lambda: freeze(make(), "giver", "random"),
     "encoded receiver": lambda: encode(Cost(freeze(Cost(make()), "receiver", "noisy"))),
+    "images": lambda: encode(freeze(make(obs_mode="rgb", cameras=CAMERAS), "receiver", "noisy"), "observation"),
     "encoded giver": lambda: encode(EpisodeReturns(freeze(make(), "giver", "random"))),
 }
 
@@ -45,7 +49,7 @@ def test_pettingzoo_accepts_it(kind: str) -> None:
     parallel_seed_test(KINDS[kind], num_cycles=2)
 
 
-@pytest.mark.parametrize("kind", ["receiver", "giver", "encoded receiver", "encoded giver"])
+@pytest.mark.parametrize("kind", ["receiver", "giver", "encoded receiver", "images", "encoded giver"])
 def test_gymnasium_and_stable_baselines_accept_it(kind: str) -> None:
     env = SingleAgentEnv(KINDS[kind]())
     check_env(env, skip_render_check=True)

@@ -81,7 +81,7 @@ class ManoModel:
         return joints
 
     def locate_wrist(self, betas: Sequence[float] | Array) -> Array:
-        """Return the root joint (3,) in m, the center of rotation, of a hand at rest with shape parameters (10,)."""
+        """Return the position (3,) of the wrist joint (m) in MANO's rest pose, for shape parameters (10,)."""
         return np.asarray(self.regress_joints(self.shape_vertices(betas))[0])
 
 

@@ -24,6 +24,7 @@ from handover_marl.learning.action_scheme import ArrayScheme
 from handover_marl.learning.array_features import ArrayFeatures
 from handover_marl.learning.features import make_array_features
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
+from handover_marl.learning.policy_spec import OBSERVATION
 from handover_marl.learning.schemes import make_array_scheme
 from handover_marl.policies.batch import PolicyBatch
 from handover_marl.simulation.engines import BatchBackend
@@ -79,7 +80,8 @@ class ArrayEpisodes:
         context, arrays = self._base.policy_context, self.arrays
         selector = LowestCostGraspSelector(context, count, arrays)
         for agent, (features, scheme) in template.choices.items():
-            self._features[agent] = make_array_features(agent, features, context, selector, count, arrays)
+            if features != OBSERVATION:
+                self._features[agent] = make_array_features(agent, features, context, selector, count, arrays)
             self._schemes[agent] = make_array_scheme(agent, scheme, context, selector, count, arrays)
 
     def check_actions(self, actions: ByAgent) -> ByAgent:

@@ -26,6 +26,7 @@ from handover_marl.errors import OptionError, ResetNeededError
 from handover_marl.learning.action_scheme import RawScheme
 from handover_marl.learning.custom_encodings import FeaturesLike, SchemeLike, is_reference
 from handover_marl.learning.features import make_features
+from handover_marl.learning.policy_spec import OBSERVATION
 from handover_marl.learning.schemes import make_scheme
 
 Vector = npt.NDArray[np.float32]
@@ -78,7 +79,11 @@ class EncodedEnv(ParallelWrapper):
             _check_state(base.config.obs_mode, chosen_features[RECEIVER], chosen_schemes[RECEIVER])
         context = base.policy_context
         self.choices = {agent: (chosen_features[agent], chosen_schemes[agent]) for agent in agents}
-        self._features = {agent: make_features(agent, choice, context) for agent, choice in chosen_features.items()}
+        self._features = {
+            agent: make_features(agent, choice, context)
+            for agent, choice in chosen_features.items()
+            if choice != OBSERVATION
+        }
         self._schemes = {agent: make_scheme(agent, choice, context) for agent, choice in chosen_schemes.items()}
         self._output_spaces: dict[str, Any] = {
             agent: copy.deepcopy(env.action_space(agent))
@@ -89,13 +94,14 @@ class EncodedEnv(ParallelWrapper):
         for agent, outputs in self._output_spaces.items():
             # Libraries that save spaces with a policy save the encoding with them.
             outputs.control_period = base.config.control_period
-            names = {"features": self._features[agent].name, "actions": self._schemes[agent].name}
-            outputs.encoding = {"agent": agent, **names}
+            features_name = self._features[agent].name if agent in self._features else OBSERVATION
+            outputs.encoding = {"agent": agent, "features": features_name, "actions": self._schemes[agent].name}
         self._observations: dict[str, Observation] = {}
 
-    def observation_space(self, agent: str) -> spaces.Box:
-        """Return the space of the agent's feature vector."""
-        return self._features[agent].space
+    def observation_space(self, agent: str) -> spaces.Space[Any]:
+        """Return the space of the agent's feature vector, or of its observation with the features `observation`."""
+        space: spaces.Space[Any] = self.env.observation_space(agent)
+        return self._features[agent].space if agent in self._features else space
 
     def action_space(self, agent: str) -> spaces.Box:
         """Return the space of the network outputs that the agent's action scheme decodes.
@@ -105,19 +111,12 @@ class EncodedEnv(ParallelWrapper):
         space: spaces.Box = self._output_spaces[agent]
         return space
 
-    def _compute_features(self) -> dict[str, Vector]:
-        """Return the features (m,) of the last observation of each agent."""
-        return {agent: self._features[agent](observation) for agent, observation in self._observations.items()}
-
-    def get_last_observation(self, agent: str) -> Observation:
-        """Return the last observation of an agent as the environment returned it, before it was encoded.
-
-        Raises:
-            ResetNeededError: No episode has been started.
-        """
-        if agent not in self._observations:
-            raise ResetNeededError("no episode is running; call reset() first")
-        return self._observations[agent]
+    def _compute_features(self) -> ByAgent:
+        """Return the features (m,) of the last observation of each agent; observations of agents without features."""
+        return {
+            agent: self._features[agent](observation) if agent in self._features else observation
+            for agent, observation in self._observations.items()
+        }
 
     def reset(self, seed: int | None = None, options: ByAgent | None = None) -> tuple[ByAgent, ByAgent]:
         """Start an episode and simulate it until an action scheme needs outputs; return features and infos by agent.
@@ -200,8 +199,8 @@ def encode(
     Args:
         env: `handover_marl.parallel_env(...)`, or `freeze(...)` of it.
         features: Name of built-in features, or user-defined ones: a subclass of `FeatureExtractor`, a function
-            with `declare_size`, or text `module:name`; a mapping by agent if `env` has two agents;
-            default: "giver" for the giver and "receiver" for the receiver.
+            with `declare_size`, or text `module:name`; "observation" for observations as they are, such as images;
+            a mapping by agent if `env` has two agents; default: "giver" for the giver and "receiver" for the receiver.
         action_scheme: Name of a built-in action scheme, or a user-defined one: a subclass of `ActionScheme`, a
             function with `declare_size`, or text `module:name`; a mapping by agent if `env` has two
             agents; default: "deviation" for the giver and "cartesian_delta" for the receiver.
@@ -244,7 +243,8 @@ def _check_state(obs_mode: str, features: Any, scheme: Any) -> None:
 
     User-defined features and user-defined schemes may use the data of cameras alone.
     """
-    uses_state = (isinstance(features, str) and not is_reference(features)) or scheme in _SCHEMES_FROM_STATE
+    is_built_in = isinstance(features, str) and features != OBSERVATION and not is_reference(features)
+    uses_state = is_built_in or scheme in _SCHEMES_FROM_STATE
     if uses_state and not has_state(obs_mode):
         raise OptionError(
             f"obs_mode must include the state that features are computed from, got {obs_mode!r}; take 'state' or "

@@ -87,7 +87,7 @@ class Demonstration:
         return len(self.actions)
 
     def hold_giver_actions(self) -> npt.NDArray[np.float32]:
-        """Return the giver's action (T + 1, 8) in effect from each of `steps` on; zeros replay the recording."""
+        """Return the giver's actions (T + 1, 8): for each of `steps`, the one that holds from it on (zeros replay)."""
         decisions = zip(self.giver_steps.tolist(), self.giver_actions, strict=True)
         return hold_actions([(0, NO_DEVIATION), *decisions], self.steps)
 

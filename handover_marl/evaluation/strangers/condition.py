@@ -35,7 +35,7 @@ class Condition:
 
     @classmethod
     def from_report(cls, agent: str, report: Report) -> "Condition":
-        """Return the condition of a report in which policies of one agent are evaluated."""
+        """Return scenes, data, physics, seed and version of a report, in which policies of `agent` are evaluated."""
         metadata, episodes = report.metadata, report.episodes
         scenes = tuple(episode.scene_id if episode.scene_id is not None else -1 for episode in episodes)
         data = tuple(f"{each.fingerprint}, objects: {each.n_objects}, {each.models}" for each in episodes)

@@ -43,7 +43,10 @@ class ExactWorld(BulletWorld):
         self._reference: Iterator[tuple[list[list[float]], list[float] | None]] = iter(())
 
     def reset(self, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
-        """Load a scene; set hand and objects to the only row of `start`, and the robot to nine joints (rad, m)."""
+        """Load a scene with the robot at nine joint positions (rad, m).
+
+        `start` has one row: the joint positions of hand and objects in the first frame.
+        """
         with self._start_scene(scene):
             panda = replace(self._config.panda, start_joints=tuple(robot_joints))
             self._workcell = load_workcell(self._client, scene.assets, replace(self._config, panda=panda))

@@ -44,7 +44,7 @@ class CameraRandomization(CheckedConfig):
     latency: float = bounded(0.0, 0.0, 1.0)
 
     def draw(self, camera: Pinhole, noise: CameraNoise | None, rng: np.random.Generator) -> "CameraDraw":
-        """Draw the camera of one episode, given that of its configuration and its noise; None is no noise."""
+        """Draw the camera of one episode; `camera` is the configured one, and `noise` its noise, if it has any."""
         # The number of draws is always the same, so that a value does not depend on the other deviations.
         unit = rng.uniform(-1.0, 1.0, 30)
         share = rng.random(2)

@@ -78,6 +78,23 @@ def rollout(envs: gymnasium.vector.VectorEnv[Any, Any, Any], steps: int, seed: i
     return said
 
 
+def test_features_may_leave_observations_as_they_are() -> None:
+    plain, encoded = (
+        handover_marl.vector_env(2, "receiver", "replay", threads=1, **OPTIONS, **encoding)
+        for encoding in ({}, {"features": "observation", "action_scheme": "cartesian_delta"})
+    )
+    assert encoded.single_observation_space == plain.single_observation_space
+    assert encoded.single_action_space.shape == (7,)
+    assert_equal(encoded.reset(seed=0), plain.reset(seed=0))
+    still = np.repeat(np.array([[0, 0, 0, 0, 0, 0, -1]], np.float32), 2, axis=0)
+    assert_equal(
+        encoded.step(still)[0]["object_poses"],
+        plain.step(plain.reset(seed=0)[0]["robot_joint_position"])[0]["object_poses"],
+    )
+    for envs in (plain, encoded):
+        envs.close()
+
+
 WAITING = {**OPTIONS, "control_period": 0.2, "max_cycles": 25}
 
 

@@ -103,8 +103,9 @@ def find_enclosed_centers(centers: Tensor, targets: GraspTargets) -> Tensor:
 def compute_grasp_losses(outputs: GraspOutputs, batch: LabelledClouds) -> dict[str, Tensor]:
     """Return the losses of the grasp network, averaged over a batch of clouds.
 
-    Each center is matched to the nearest good grasp whose closing pads enclose it, where grasps of higher quality are
-    preferred. Centers without such a grasp only contribute to the loss of the quality.
+    A center is a point of the object at which the network predicts a grasp. It is matched to the nearest good grasp
+    that has the point between its closing pads, where grasps of higher quality are preferred. Centers without such a
+    grasp only contribute to the loss of the quality.
 
     Returns:
         "grasp", the distance of predicted grasps from the good grasps matched to them (m); "quality", the binary cross
