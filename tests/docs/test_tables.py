@@ -12,8 +12,10 @@ import pytest
 from gymnasium import spaces
 
 import handover_marl
-from handover_marl.config import OFFICIAL_CONFIG
+from handover_marl import givers
+from handover_marl.config import OFFICIAL_CONFIG, CheckedConfig
 from handover_marl.datasets.generated.config import FAMILY_DEFAULTS
+from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.envs import rewards
 from handover_marl.envs.config import EnvConfig
 from handover_marl.envs.rewards import SHAPED, SPARSE
@@ -41,7 +43,7 @@ CHECKED = {
     *("receiver actions", "giver actions", "rewards", "reward terms", "generated scenes", "receiver inputs"),
     *("shared observations", "giver observations", "camera observations"),
     *("rules", "official metrics", "fluency metrics", "episode columns", "identity", "comparison columns"),
-    *("packages", "inference time", "driver inputs", "arguments"),
+    *("packages", "inference time", "driver inputs", "arguments", "givers"),
 }
 OFFICIAL_COLUMNS = (
     tables.N_EPISODES,
@@ -126,6 +128,15 @@ def test_arguments_of_environments() -> None:
     defaults = {field.name: repr(field.default).replace("'", '"') for field in dataclasses.fields(EnvConfig)}
     assert defaults["world_config"] == repr(OFFICIAL_CONFIG).replace("'", '"')
     assert {bare(row[0]): bare(row[1]) for row in rows} == defaults | {"world_config": "OFFICIAL_CONFIG"}
+
+
+def test_options_of_givers() -> None:
+    rows = checked_table(REPOSITORY / "docs" / "reference" / "policies.md", "givers")
+    assert sorted(bare(row[0]).partition(":")[0] for row in rows) == sorted(givers.list_available())
+    for row in rows:
+        config = getattr(givers.make(bare(row[0]), SyntheticDataset()), "config", None) if ":" not in row[0] else None
+        documented = {name: float(value) for name, value in re.findall(r"`(\w+)` (-?[\d.]+)", row[2])}
+        assert documented == (asdict(config) if isinstance(config, CheckedConfig) else {}), row[0]
 
 
 def test_rewards() -> None:
