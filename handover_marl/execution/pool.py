@@ -98,8 +98,8 @@ class Pool:
             while waiting or running:
                 # No more are submitted than processes exist, so that these are the ones that run if a process dies.
                 while waiting and len(running) < n_workers:
-                    task = pickle_by_value(tasks[waiting[-1]])
-                    running[self._executor.submit(run_pickled_task, *job, task)] = waiting.pop()
+                    pickled = pickle_by_value(tasks[waiting[-1]])
+                    running[self._executor.submit(run_pickled_task, *job, pickled)] = waiting.pop()
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
                     answer = future.result()
                     yield running.pop(future), unpickle_result(answer)
