@@ -95,7 +95,7 @@ class CustomSceneFolder:
 
     @property
     def dataset(self) -> str:
-        """Name that opens the scenes, `own:FOLDER`: `dataset=...` of all functions, `--dataset` of all commands."""
+        """Name with which functions and commands open the scenes as a data set (`own` and the folder)."""
         return f"own:{self.folder}"
 
     def add_object(
