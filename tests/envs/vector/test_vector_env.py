@@ -183,7 +183,7 @@ def test_the_next_episode_is_the_one_that_a_single_environment_draws() -> None:
     for arguments in resets:
         found, expected = (envs.reset(**copy.deepcopy(arguments)) for envs in (together, alone))
         assert_equal(list(found), list(expected))
-        for _ in range(3):
+        for _ in range(4):
             actions = rng.uniform(-1.0, 1.0, (3, 7)).astype(np.float32)
             assert_equal(list(together.step(actions)), list(alone.step(actions)))
     together.close()
