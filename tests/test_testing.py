@@ -56,9 +56,9 @@ class Short(Obedient):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("receiver", [Obedient, "random", "yang2021"])
+@pytest.mark.parametrize("receiver", [Obedient, "random", "yang2021:wait=0"])
 def test_conforming_receivers(receiver: str | type[Receiver]) -> None:
-    check_receiver(receiver, scenes=ONE, steps=3400 if receiver == "yang2021" else 500)
+    check_receiver(receiver, scenes=ONE, steps=500)
 
 
 @pytest.mark.slow

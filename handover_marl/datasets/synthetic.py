@@ -71,7 +71,7 @@ def _draw_left_handed_trials() -> frozenset[int]:
     return frozenset(chosen)
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=40)  # the 36 scenes of a validation split, 1 MB each
 def _generate_scene(scene_id: int) -> GeneratedHandover:
     class_id = SCENE_CLASSES[scene_id // 5 % 20]
     giver = make_subject_giver(class_id, scene_id // 100 + 1, _find_side(scene_id))

@@ -4,9 +4,10 @@ Registered policies are entry points of installed packages. A user's text is the
 from a file needs `check_stored_reference` first, wherever a file is read.
 """
 
+import functools
 import importlib
 from collections.abc import Container, Iterable
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoints, entry_points
 from typing import Any
 
 from handover_marl.errors import OptionError, UnknownNameError, UnsafeFileError, check_name
@@ -21,7 +22,7 @@ def list_available(agent: str) -> tuple[str, ...]:
     Raises:
         UnknownNameError: `agent` is neither "giver" nor "receiver".
     """
-    return tuple(sorted({point.name for point in entry_points(group=_get_group(agent))}))
+    return tuple(sorted({point.name for point in _find_points(_get_group(agent))}))
 
 
 def load_registered(agent: str, name: str) -> type | None:
@@ -32,7 +33,7 @@ def load_registered(agent: str, name: str) -> type | None:
         OptionError: The class cannot be imported, or several packages register the name.
     """
     group = _get_group(agent)
-    points = {point.value: point for point in entry_points(group=group, name=name)} if name else {}
+    points = {point.value: point for point in _find_points(group).select(name=name)} if name else {}
     if len(points) > 1:
         packages = [point.dist.name if point.dist is not None else "an unknown package" for point in points.values()]
         claims = " and ".join(f"{package} ({value})" for package, value in zip(packages, points, strict=True))
@@ -87,6 +88,12 @@ def check_stored_reference(
             f"{where}: {kind} {text!r} must not be imported from a module that only a file names; {advice}pass "
             "trust=True (--trust) if you know where the file comes from"
         )
+
+
+@functools.cache
+def _find_points(group: str) -> EntryPoints:
+    """Return the entry points of a group; this reads files of all installed packages, which takes 10 ms or more."""
+    return entry_points(group=group)
 
 
 def _get_group(agent: str) -> str:

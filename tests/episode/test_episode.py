@@ -55,10 +55,11 @@ def test_steps_with_callbacks_equal_rollouts(batch_episode: Episode, monkeypatch
     outcomes: list[tuple[object, ...]] = []
     episode, steps = batch_episode, list[int]()
     monkeypatch.setattr(type(episode.world), "release_target", record_release)
+    scene = DATASET.load_scene(9)
     for hooks in ((), (lambda _: steps.append(episode.steps),)):
-        episode.reset(SCENE)
-        receiver = receivers.make("yang2021", DATASET)
-        receiver.prepare(SCENE.info.object_names)
+        episode.reset(scene)
+        receiver = receivers.make("yang2021:wait=0", DATASET)
+        receiver.prepare(scene.info.object_names)
         receiver.reset(0)
         while not episode.status:
             action = receiver.act(episode.observe())

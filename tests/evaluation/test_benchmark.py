@@ -272,7 +272,7 @@ def test_results_store_robot_observation_mode_and_wait(tmp_path: Path, monkeypat
 def test_time_series_of_an_episode(tmp_path: Path) -> None:
     """A finished episode is simulated again; the columns agree with each other and with the metrics."""
     rules = WorldConfig(protocol=ProtocolConfig(horizon_steps=1000))
-    options = {"dataset": "synthetic", "scenes": [9], "receiver": "omg:wait=0", "world_config": rules}
+    options = {"dataset": "synthetic", "scenes": [9], "receiver": "yang2021:wait=0", "world_config": rules}
     run(None, tmp_path, **options)
     (fluency,) = [episode.fluency for episode in run(None, tmp_path, traces=True, **options).episodes]
     assert fluency is not None

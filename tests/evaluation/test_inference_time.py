@@ -13,6 +13,7 @@ from handover_marl import EvaluationConfig
 from handover_marl.errors import OptionError, ResultsError
 from handover_marl.evaluation.reports.report import Report
 from tests.docs.pages import REPOSITORY, checked_table
+from tests.evaluation.quick import SHORT
 
 SCENE = 19
 LATE = 0.05  # s
@@ -81,7 +82,7 @@ def test_reports_state_the_inference_time(folders: dict[float | None, Path], tmp
     compared = str(handover_marl.compare(folder, folders[None]))
     assert f"Inference time differs: {LATE} and 0 (the person waits)." in compared
     same = {key: value for key, value in OPTIONS.items() if key not in ("giver", "receiver")}
-    crossed = handover_marl.crossplay("replay", "hold", inference_time=LATE, **same)
+    crossed = handover_marl.crossplay("replay", "hold", inference_time=LATE, world_config=SHORT, **same)
     assert label in str(crossed)
     assert next(csv.DictReader(crossed.to_csv().splitlines()))["inference_time"] == str(LATE)
 

@@ -32,7 +32,7 @@ from handover_marl.evaluation.verification import (
 )
 from tests.evaluation.quick import make_report, write_results
 
-SCENE, INDEX = 19, 2
+SCENE, INDEX = 9, 0
 OPTIONS: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "workers": 1, "progress": False}
 #: World of short episodes whose initial joint positions depend on the seed.
 NOISY = WorldConfig(protocol=ProtocolConfig(horizon_steps=300), initial_joint_noise=0.1)
@@ -42,7 +42,7 @@ Arrays = dict[str, Any]
 @pytest.fixture(scope="module")
 def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("original")
-    benchmark("s0", "val", "yang2021", scenes=[SCENE], out=folder, **OPTIONS)
+    benchmark("s0", "val", "yang2021:wait=0", scenes=[SCENE], out=folder, **OPTIONS)
     return folder
 
 
@@ -60,7 +60,7 @@ def runner() -> Iterator[EpisodeRunner]:
 
 
 def change_arrays(folder: Path, change: Callable[[Arrays], object]) -> None:
-    path = folder / "002.npz"
+    path = folder / "000.npz"
     with np.load(path) as archive:
         arrays = dict(archive)
     change(arrays)
@@ -209,7 +209,7 @@ def test_what_was_compared_is_printed(folder: Path) -> None:
     path = folder / "config.yaml"
     path.write_text(path.read_text().replace(f"version: {handover_marl.__version__}", "version: 0.7.0"))
     # A copied result, of scene 24 by its name, is found.
-    (folder / "003.npz").write_bytes((folder / "002.npz").read_bytes())
+    (folder / "003.npz").write_bytes((folder / "000.npz").read_bytes())
     found = verify(folder, workers=1, progress=False)
     assert found.changed_scenes == (24,)
     assert {each.key for each in found.differences if each.scene_id is None} == {"results"}, "no report or hash"
@@ -230,7 +230,7 @@ def test_a_changed_outcome_is_named(folder: Path, capsys: pytest.CaptureFixture[
     assert f"| {SCENE} " in printed
     assert "timeout" in printed
     assert "Not equal: 1 of 1 episodes" in printed
-    rows = [line.split(" | ") for line in printed.splitlines() if line.startswith(("| 19", "| folder"))]
+    rows = [line.split(" | ") for line in printed.splitlines() if line.startswith((f"| {SCENE} ", "| folder"))]
     assert rows[0][1].strip() == "outcome"
     assert sum("report.json" in row[1] for row in rows) == 1
 
@@ -251,12 +251,12 @@ def test_values_of_a_giver_are_verified_with_its_code(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_last_run_of_fewer_scenes(tmp_path: Path) -> None:
     options = {**OPTIONS, "world_config": NOISY, "out": tmp_path}
-    evaluate_pair("replay", "hold", "s0", "val", scenes=[9, SCENE], **options)
+    evaluate_pair("replay", "hold", "s0", "val", scenes=[SCENE, 19], **options)
     evaluate_pair("replay", "hold", "s0", "val", scenes=[SCENE], **options)
     assert check_reports(tmp_path) == ([], 1)
     found = verify(tmp_path, workers=1, progress=False, world_config=NOISY)
-    assert (found.is_verified, found.n_unreported, found.scenes) == (True, 1, (9, SCENE))
-    assert verify(tmp_path, workers=1, progress=False, world_config=NOISY, scenes=[9]).scenes == (9,)
+    assert (found.is_verified, found.n_unreported, found.scenes) == (True, 1, (SCENE, 19))
+    assert verify(tmp_path, workers=1, progress=False, world_config=NOISY, scenes=[19]).scenes == (19,)
     path = tmp_path / "config.yaml"
     path.write_text(path.read_text().replace("giver: replay", "giver: wary"))
     with pytest.raises(OptionError, match="'wary', which is not registered; pass giver="):

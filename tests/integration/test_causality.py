@@ -27,7 +27,7 @@ from handover_marl.receivers.reactive.config import ReactiveConfig
 from handover_marl.receivers.reactive.receiver import ReactiveReceiver
 from tests.episode.test_camera_observations import GOAL, STEPS
 from tests.helpers.equality import assert_equal
-from tests.receivers.quick import QUICK_PREPARATION
+from tests.receivers.quick import QUICK_PREPARATION, short_planning  # noqa: F401
 
 SCENE = 209
 #: Largest time by which a giver previews the recording (physics steps of 1 ms).

@@ -100,7 +100,7 @@ def test_actions_do_not_depend_on_other_episodes(agent: str, name: str) -> None:
             np.testing.assert_array_equal(together.compute_actions(ROWS, observation), np.stack(expected), strict=True)
 
 
-N_ROWS, N_STATES = 6, 14
+N_ROWS, N_STATES = 6, 6
 
 
 @functools.cache

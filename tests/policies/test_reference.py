@@ -335,7 +335,7 @@ def test_split_policy_list(agent: str, text: str, names: list[str]) -> None:
 )
 def test_names_of_other_packages(points: list[tuple[str, str]], message: str, monkeypatch: pytest.MonkeyPatch) -> None:
     found = EntryPoints(EntryPoint(name, value, registry.GROUPS["giver"]) for name, value in points)
-    monkeypatch.setattr(registry, "entry_points", found.select)
+    monkeypatch.setattr(registry, "_find_points", lambda group: found.select(group=group))
     with pytest.raises((OptionError, UnknownNameError), match=message):
         parse_policy("giver", "theirs")
     assert registry.list_available("receiver") == ()

@@ -36,9 +36,9 @@ from tests.learning.custom import move_first_joint, offset_to_object
 COUNT = 4
 OPTIONS: dict[str, Any] = {"setup": "s0", "split": "train", "dataset": "synthetic", "threads": 1, "rewards": "shaped"}
 #: Options of short episodes, so that all of them end and new ones start.
-SHORT: dict[str, Any] = {**OPTIONS, "max_cycles": 13, "control_period": 0.1}
+SHORT: dict[str, Any] = {**OPTIONS, "max_cycles": 6, "control_period": 0.1}
 #: Options of episodes in which the receiver acts after it has waited, and in which all episodes end.
-ENCODED: dict[str, Any] = {**OPTIONS, "control_period": 0.2, "max_cycles": 20}
+ENCODED: dict[str, Any] = {**OPTIONS, "control_period": 0.5}
 
 
 class TensorWorlds(Worlds):
@@ -177,7 +177,7 @@ def compare(request: pytest.FixtureRequest, steps: int, agent: str | None, optio
 def test_raw_observations_and_actions(
     request: pytest.FixtureRequest, agent: str | None, options: dict[str, Any]
 ) -> None:
-    compare(request, 30 if agent is not None else 16, agent, {**SHORT, **options})
+    compare(request, 16 if agent is not None else 8, agent, {**SHORT, **options})
 
 
 @pytest.mark.slow
@@ -196,8 +196,8 @@ def test_raw_observations_and_actions(
 def test_features_and_action_schemes(
     request: pytest.FixtureRequest, agent: str | None, options: dict[str, Any]
 ) -> None:
-    # The receiver waits for ten cycles; an offer lasts a whole episode. Episodes end, and new ones start.
-    steps, max_cycles = (2, 12) if options.get("action_scheme") == "offer" else (8 if agent else 16, 13)
+    # The receiver waits for four cycles; an offer lasts a whole episode. Episodes end, and new ones start.
+    steps, max_cycles = (2, 5) if options.get("action_scheme") == "offer" else (8, 6)
     compare(request, steps, agent, {**ENCODED, "max_cycles": max_cycles, **options})
 
 
@@ -214,7 +214,7 @@ def test_user_defined_parts_act_on_the_host(request: pytest.FixtureRequest) -> N
         "action_scheme": move_first_joint,
         "autoreset": "same_step",
     }
-    compare(request, 30, "receiver", {**SHORT, **options, "rewards": combine_rewards((0.5, reward_height), "sparse")})
+    compare(request, 16, "receiver", {**SHORT, **options, "rewards": combine_rewards((0.5, reward_height), "sparse")})
 
 
 def test_wrong_numbers_change_nothing(on_device: ArrayFactory) -> None:

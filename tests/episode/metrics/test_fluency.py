@@ -341,7 +341,7 @@ def test_every_engine_measures_the_force_on_the_person(physics: str) -> None:
     if physics == "mujoco":
         pytest.importorskip("mujoco")
     dataset, recorder, episode = SyntheticDataset(), TraceRecorder(), Episode(physics)
-    play(episode, dataset.load_scene(14), make("yang2021", dataset), None, recorder)
+    play(episode, dataset.load_scene(19), make("yang2021:wait=0", dataset), None, recorder)
     assert episode.status is EpisodeStatus.HUMAN_CONTACT
     found = compute_fluency(recorder.trace)
     assert found.max_robot_hand_force == episode.contacts.robot_hand_force
@@ -388,7 +388,7 @@ def test_the_impulse_on_the_object_ends_with_the_release() -> None:
 @pytest.mark.slow
 def test_recording_changes_nothing_and_notes_what_can_be_seen() -> None:
     dataset = SyntheticDataset()
-    episode, policy, scene = Episode("fast"), make("yang2021", dataset), dataset.load_scene(209)
+    episode, policy, scene = Episode("fast"), make("yang2021:wait=0", dataset), dataset.load_scene(9)
     recorder, sketch = TraceRecorder(), StepRecorder(Episode.observe, SAMPLE_STEPS)
     plain, _ = play(episode, scene, policy)
     recorded, _ = play(episode, scene, policy, None, recorder, sketch)

@@ -24,7 +24,7 @@ OPTIONS: dict[str, Any] = {
 
 def batch() -> BatchVecEnv:
     options: dict[str, Any] = {"features": "giver", "action_scheme": "deviation", "autoreset": "same_step"}
-    return BatchVecEnv(handover_marl.vector_env(COUNT, "giver", "hold", processes=2, **options, **OPTIONS))
+    return BatchVecEnv(handover_marl.vector_env(COUNT, "giver", "hold", threads=1, **options, **OPTIONS))
 
 
 def alone() -> Any:

@@ -77,8 +77,9 @@ def test_states_depend_on_the_seed_only() -> None:
     assert len(other.remaining) != len(both.remaining) or not np.array_equal(other.goals, both.goals)
 
 
-def test_shared_scenes_are_in_all_training_splits() -> None:
-    data = SyntheticDataset(robot="panda_camera")
+def test_shared_scenes_are_in_all_training_splits(monkeypatch: pytest.MonkeyPatch) -> None:
+    data, listed = SyntheticDataset(robot="panda_camera"), SyntheticDataset.list_scenes
+    monkeypatch.setattr(SyntheticDataset, "list_scenes", lambda *split: [one for one in listed(*split) if one < 50])
     found = list_shared_scenes(data, ("s0", "s3"))
     assert found
     assert set(found) <= set(data.list_scenes("s0", "train")) & set(data.list_scenes("s3", "train"))
