@@ -16,7 +16,7 @@ from handover_marl.datasets import open_dataset
 from handover_marl.errors import HandoverError, UnsafeFileError
 from handover_marl.evaluation.comparison import compare
 from handover_marl.evaluation.reports.report import evaluate
-from handover_marl.evaluation.strangers.protocol import strangers, update_references
+from handover_marl.evaluation.strangers.protocol import strangers
 from handover_marl.evaluation.verification import verify
 from handover_marl.learning.features import count_features
 from handover_marl.learning.policy_files import write_policy
@@ -140,12 +140,11 @@ def test_names_in_files_need_trust(reader: str) -> None:
     "read",
     [
         lambda: evaluate_strangers(False),
-        lambda: update_references([write_results()], write_strangers_population()),
         lambda: verify(write_results(f"population:population={write_strangers_population()},partners=test"), **VERIFY),
         lambda: evaluate(write_results()),
         lambda: compare(write_results(), "results"),
     ],
-    ids=["strangers", "references", "nested", "evaluate", "compare"],
+    ids=["strangers", "nested", "evaluate", "compare"],
 )
 def test_other_readers_import_nothing(read: Callable[[], object]) -> None:
     with contextlib.suppress(HandoverError):
