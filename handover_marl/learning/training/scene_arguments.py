@@ -30,8 +30,8 @@ def run_script(main: Callable[[_Args], _Result], arguments: type[_Args], descrip
 
 
 def select_training_scenes(scene_ids: Sequence[int]) -> tuple[int, ...]:
-    """Return the scenes of a training split that are used for training: all but every tenth, which is held out."""
-    return tuple(scene for number, scene in enumerate(scene_ids) if number % _HELD_OUT)
+    """Return the scenes of a training split that are used for training: all but every tenth, or the only one."""
+    return tuple(scene for number, scene in enumerate(scene_ids) if number % _HELD_OUT) or tuple(scene_ids)
 
 
 def select_held_out_scenes(scene_ids: Sequence[int]) -> tuple[int, ...]:

@@ -62,6 +62,7 @@ def test_every_tenth_scene_is_held_out() -> None:
     scenes = tuple(range(100, 200))
     assert set(select_training_scenes(scenes)) | set(select_held_out_scenes(scenes)) == set(scenes)
     assert not set(select_training_scenes(scenes)) & set(select_held_out_scenes(scenes))
+    assert select_training_scenes((7,)) == (7,)
     assert select_scenes_evenly(scenes, 3) in ((100, 150, 199), (100, 149, 199), (100, 150, 199))
     assert select_scenes_evenly(scenes, 1000) == scenes
     with pytest.raises(OptionError, match="of at least 1, got 0"):
