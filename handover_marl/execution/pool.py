@@ -108,9 +108,9 @@ class Pool:
             match = _EXIT_CODES.search(str(error))
             raise WorkerError(
                 f"a worker process died while {', '.join(describe(tasks[index]) for index in running.values())} "
-                f"({f'exit code {match[1]}' if match else type(error).__name__}); finished results are kept, and the "
-                "same call continues. Use fewer workers if memory is short, or workers=1 to see the failure in this "
-                "process."
+                f"({f'exit code {match[1]}' if match else type(error).__name__}); results in an output folder are "
+                "kept, and the same call continues. Use fewer workers if memory is short, or workers=1 to see the "
+                "failure in this process."
             ) from error
         except BaseException:
             self.close()

@@ -68,7 +68,9 @@ def test_a_killed_worker_is_reported_and_replaced() -> None:
         return task
 
     with closing(Pool(2)) as pool:
-        with pytest.raises(WorkerError, match=r"died while .*2.* \(exit code .*-9\).*; finished results are kept"):
+        with pytest.raises(
+            WorkerError, match=r"died while .*2.* \(exit code .*-9\).*; results in an output folder are kept"
+        ):
             list(pool.map_unordered(lambda: nullcontext(work), [1, 2, 3]))
         assert sorted(pool.map_unordered(lambda: nullcontext(work), [3, 4])) == [(0, 3), (1, 4)]
 

@@ -1,4 +1,4 @@
-"""Wrapper with feature vectors as observations and network outputs as actions."""
+"""Wrapper with features, or observations as they are, as observations, and with network outputs as actions."""
 
 import copy
 from collections.abc import Mapping
