@@ -147,7 +147,7 @@ class Evaluation:
     @cached_property
     def report(self) -> Report:
         """Report on the stored outcomes of all scenes; `path` must not be empty."""
-        return handover_marl.evaluate(FOLDER / self.path)
+        return handover_marl.load_report(FOLDER / self.path)
 
     @property
     def conditions(self) -> str:
@@ -198,7 +198,7 @@ def add_evaluation(folder: Path, purpose: str) -> None:
     Raises:
         SystemExit: The evaluation is partial, or not one of the official protocol on a test split.
     """
-    report = handover_marl.evaluate(folder)
+    report = handover_marl.load_report(folder)
     metadata = report.metadata
     protocol = (metadata.world, metadata.split, metadata.giver, metadata.physics, metadata.inference_time)
     if report.is_partial or protocol != (OFFICIAL_WORLD, "test", "replay", "exact", ""):

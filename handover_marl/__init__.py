@@ -2,7 +2,7 @@
 
 env = handover_marl.parallel_env(setup="s0", split="train")      PettingZoo parallel environment
 env = handover_marl.env(setup="s0", split="train")               PettingZoo AEC environment
-env = handover_marl.freeze(env, "receiver", "replay")            one agent to control
+env = handover_marl.control_agent(env, "receiver", "replay")            one agent to control
 env = handover_marl.encode(env)                                  features and scaled outputs
 env = handover_marl.vector_env(64, "receiver", "replay")         many environments at once
 env = gymnasium.make("HandoverMARL/Receiver-v0", setup="s0")     Gymnasium environment of the robot
@@ -33,7 +33,7 @@ _NAMES = {
     "envs.transition": ("Transition",),
     "envs.vector.vector_env": ("vector_env",),
     "envs.wrappers.encode": ("encode",),
-    "envs.wrappers.freeze": ("freeze",),
+    "envs.wrappers.control_agent": ("control_agent",),
     "episode.camera_observations": ("CameraCapture",),
     "episode.referee": ("EpisodeStatus",),
     "evaluation.benchmark": ("benchmark", "evaluate_pair"),
@@ -44,7 +44,7 @@ _NAMES = {
     "evaluation.demonstrations.record": ("demonstrate",),
     "evaluation.merge": ("merge",),
     "evaluation.rendering": ("render_scene",),
-    "evaluation.reports.report": ("Report", "evaluate"),
+    "evaluation.reports.report": ("Report", "load_report"),
     "evaluation.strangers.protocol": ("strangers",),
     "evaluation.verification": ("verify",),
     "learning.action_scheme": ("ActionScheme",),

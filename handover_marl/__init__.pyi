@@ -13,8 +13,8 @@ from handover_marl.envs.handover_env import HandoverEnv as HandoverEnv
 from handover_marl.envs.rewards import TermWeights as TermWeights
 from handover_marl.envs.transition import Transition as Transition
 from handover_marl.envs.vector.vector_env import vector_env as vector_env
+from handover_marl.envs.wrappers.control_agent import control_agent as control_agent
 from handover_marl.envs.wrappers.encode import encode as encode
-from handover_marl.envs.wrappers.freeze import freeze as freeze
 from handover_marl.episode.camera_observations import CameraCapture as CameraCapture
 from handover_marl.episode.referee import EpisodeStatus as EpisodeStatus
 from handover_marl.evaluation.benchmark import benchmark as benchmark
@@ -28,7 +28,7 @@ from handover_marl.evaluation.demonstrations.record import demonstrate as demons
 from handover_marl.evaluation.merge import merge as merge
 from handover_marl.evaluation.rendering import render_scene as render_scene
 from handover_marl.evaluation.reports.report import Report as Report
-from handover_marl.evaluation.reports.report import evaluate as evaluate
+from handover_marl.evaluation.reports.report import load_report as load_report
 from handover_marl.evaluation.strangers.protocol import strangers as strangers
 from handover_marl.evaluation.verification import verify as verify
 from handover_marl.learning.action_scheme import ActionScheme as ActionScheme

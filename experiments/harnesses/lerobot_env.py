@@ -43,7 +43,7 @@ class LeRobotEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self._handover = handover_marl.parallel_env(
             setup=setup, split=split, obs_mode=obs_mode, control_period=1.0 / fps, **{"physics": "mujoco"} | options
         )
-        self._env = handover_marl.freeze(self._handover, "receiver", "replay", api="gymnasium")
+        self._env = handover_marl.control_agent(self._handover, "receiver", "replay", api="gymnasium")
         self.task, self.task_description = task, ""
         self._max_episode_steps = round(ProtocolConfig().horizon_steps * TIME_STEP * fps)
         self.action_space = self._env.action_space

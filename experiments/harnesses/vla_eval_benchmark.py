@@ -41,7 +41,7 @@ class HandoverBenchmark(StepBenchmark):
         self._handover = handover_marl.parallel_env(
             setup=setup, split=split, control_period=control_period, physics=physics, obs_mode="rgb", **config
         )
-        self._env = handover_marl.freeze(self._handover, "receiver", "replay", api="gymnasium")
+        self._env = handover_marl.control_agent(self._handover, "receiver", "replay", api="gymnasium")
         self._scheme = make_scheme("receiver", "cartesian_delta", self._handover.policy_context)
         self._max_steps = round(ProtocolConfig().horizon_steps * TIME_STEP / control_period)
         self._observation: dict[str, Any] = {}

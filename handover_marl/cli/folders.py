@@ -40,7 +40,7 @@ _DISTRIBUTION, _DEVELOPER_EXTRAS = "handover-marl", ("assets", "dev", "docs")
 _NAME, _EXTRA = re.compile(r"[\w.-]+"), re.compile(r"extra == ['\"](\w+)['\"]")
 
 
-def run_evaluate(
+def run_report(
     folder: Folder,
     /,
     out: Annotated[str | None, tyro.conf.arg(metavar="FILE.html")] = None,
@@ -54,10 +54,10 @@ def run_evaluate(
         out: Output file (.html) for the report as a web page; default: none.
         episodes: Output file (.csv) with one row per episode; default: none.
     """
-    from handover_marl.evaluation.reports.report import evaluate, find_replay_links, render_report_page
+    from handover_marl.evaluation.reports.report import find_replay_links, load_report, render_report_page
 
     path, csv_path = _check_path(out, ".html"), _check_path(episodes, ".csv")
-    report = evaluate(folder)
+    report = load_report(folder)
     if csv_path is not None:
         write_atomically(csv_path, report.format_episodes_csv())
     if path is not None:

@@ -23,7 +23,7 @@ _COMMANDS = (
     runs.run_demonstrate,
     folders.run_convert,
     runs.run_render,
-    folders.run_evaluate,
+    folders.run_report,
     folders.run_verify,
     folders.run_compare,
     folders.run_merge,

@@ -7,7 +7,7 @@ from pettingzoo.utils.conversions import parallel_to_aec
 
 from handover_marl.envs.config import EnvConfig
 from handover_marl.envs.handover_env import HandoverEnv
-from handover_marl.envs.wrappers.freeze import freeze
+from handover_marl.envs.wrappers.control_agent import control_agent
 from handover_marl.envs.wrappers.wrapper import SingleAgentEnv
 from handover_marl.execution.options import forward_signature
 from handover_marl.policies.reference import PolicyLike
@@ -50,5 +50,5 @@ def single_agent_env(
         config: Configuration; default: one made of `fields`.
         fields: Fields of `handover_marl.envs.config.EnvConfig`, in place of `config`.
     """
-    frozen: SingleAgentEnv = freeze(HandoverEnv(config, **fields), agent, partner, api="gymnasium", trust=trust)
+    frozen: SingleAgentEnv = control_agent(HandoverEnv(config, **fields), agent, partner, api="gymnasium", trust=trust)
     return frozen

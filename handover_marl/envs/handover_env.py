@@ -324,7 +324,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
             ResetNeededError: No policy has been set since the last reset.
         """
         if self._partner is None:
-            raise ResetNeededError("no policy acts for an agent; call reset() of the environment made by freeze()")
+            raise ResetNeededError("no policy acts for an agent; call reset() of what control_agent() returned")
         return self._partner.act()
 
     def _check_open(self) -> None:

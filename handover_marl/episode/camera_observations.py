@@ -86,7 +86,7 @@ def camera_observation_space(
     | full_pointcloud | wrist_point_counts | (2,) float32 | number of pixels on object and hand |
     | full_pointcloud | robot_joint_position_exact | (9,) float64 | robot joints before rounding to float32 |
 
-    "scene_pointcloud" has the clouds of "pointcloud", too; "rgbd" is depth, segmentation and rgb. Clouds of more than
+    "scene_pointcloud" has the clouds of "pointcloud", too; "rgbd" is "rgb+depth". Clouds of more than
     1024 points are subsampled without replacement, shorter ones padded with zeros; full clouds are padded, too. A
     camera with latency shows earlier images; their points are in the link's current frame.
     "full_pointcloud" is for methods that subsample the points themselves and need unrounded joints, as HandoverSim's

@@ -15,7 +15,7 @@ from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
 STATE, POINTCLOUD, SCENE_POINTCLOUD, FULL_POINTCLOUD = "state", "pointcloud", "scene_pointcloud", "full_pointcloud"
 DEPTH, SEGMENTATION, RGB, RGBD = "depth", "segmentation", "rgb", "rgbd"
 OBS_PARTS = (STATE, POINTCLOUD, SCENE_POINTCLOUD, FULL_POINTCLOUD, DEPTH, SEGMENTATION, RGB, RGBD)
-#: Parts that are images; "rgbd" stands for all three.
+#: Parts that are images; "rgbd" stands for "rgb+depth", as in ManiSkill.
 IMAGES = frozenset((DEPTH, SEGMENTATION, RGB))
 _JOIN_PARTS = "join parts with '+', e.g. 'rgb+depth'"
 
@@ -24,7 +24,7 @@ GIVER_ACTION_SIZE = 8
 
 
 def parse_obs_mode(obs_mode: str) -> frozenset[str]:
-    """Return the parts of an observation mode: "state+rgbd" has "state", "depth", "segmentation" and "rgb".
+    """Return the parts of an observation mode: "state+rgbd" has "state", "rgb" and "depth".
 
     Raises:
         UnknownNameError: A part is not one of `OBS_PARTS`.
@@ -36,7 +36,7 @@ def parse_obs_mode(obs_mode: str) -> frozenset[str]:
     if unknown:
         hint = "" if unknown[0].isidentifier() else _JOIN_PARTS
         raise UnknownNameError("part of obs_mode", unknown[0], OBS_PARTS, hint)
-    return parts - {RGBD} | (IMAGES if RGBD in parts else frozenset())
+    return parts - {RGBD} | ({RGB, DEPTH} if RGBD in parts else set())
 
 
 def has_state(obs_mode: str) -> bool:

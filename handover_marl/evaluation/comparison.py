@@ -11,7 +11,7 @@ from handover_marl.evaluation.reports.episode_tables import (
     build_fluency_difference_table,
     build_rate_table,
 )
-from handover_marl.evaluation.reports.report import Report, evaluate
+from handover_marl.evaluation.reports.report import Report, load_report
 from handover_marl.evaluation.reports.tables import ReportTable, TabularResult, estimate_rate
 
 _NOTE = (
@@ -75,7 +75,7 @@ def compare(first: str | os.PathLike[str], second: str | os.PathLike[str]) -> Co
         ResultsError: A folder or file is not readable, or the folders cannot be compared: other splits or
             datasets, no common scene, or different data (checked within one version).
     """
-    report, other = evaluate(first), evaluate(second)
+    report, other = load_report(first), load_report(second)
     for key in ("setup", "split", "dataset"):
         values = [getattr(each.metadata, key) for each in (report, other)]
         if values[0] != values[1]:

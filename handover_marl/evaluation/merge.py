@@ -11,7 +11,7 @@ from handover_marl.errors import OptionError, ResultsError
 from handover_marl.evaluation.crossplay import CROSSPLAY_CSV, CrossPlay, format_pair_folder
 from handover_marl.evaluation.demonstrations.demonstration import Demonstrations
 from handover_marl.evaluation.metadata import ResultMetadata, format_merged_config, read_result_metadata
-from handover_marl.evaluation.reports.report import Report, evaluate, write_report
+from handover_marl.evaluation.reports.report import Report, load_report, write_report
 from handover_marl.evaluation.results import (
     DEMONSTRATIONS,
     ResultFolder,
@@ -136,7 +136,7 @@ def _write_merged(metadata: ResultMetadata, files: dict[int, Path], out: Path) -
             _copy_file(recording, copy)
     for index, file in files.items():
         _copy_file(file, get_result_path(out, index))
-    report = evaluate(out)
+    report = load_report(out)
     write_report(out, report)
     return report
 

@@ -29,7 +29,7 @@ from handover_marl.evaluation.metadata import (
     parse_world_label,
     read_result_metadata,
 )
-from handover_marl.evaluation.reports.report import evaluate, format_report_files
+from handover_marl.evaluation.reports.report import format_report_files, load_report
 from handover_marl.evaluation.reports.tables import ReportTable, TabularResult
 from handover_marl.evaluation.results import (
     REPORT_FILES,
@@ -259,7 +259,7 @@ def check_reports(path: Path) -> tuple[list[Difference], int]:
         The differences, and the number of results in the folder that the report does not contain.
     """
     try:
-        report = evaluate(path)
+        report = load_report(path)
     except ResultsError as error:
         return [Difference(None, "results", shorten_text(error), "readable results")], 0
     names = [name for name in REPORT_FILES if (path / name).exists()]

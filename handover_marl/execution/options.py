@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final, Literal, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import loky
 
@@ -17,8 +17,6 @@ from handover_marl.errors import OptionError, UnknownArgumentError
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
-LOCAL: Final = "local"
-RAY: Final = "ray"
 #: Largest length of the name of a file or folder (bytes) in usual file systems.
 _LONGEST_NAME = 255
 
@@ -91,12 +89,12 @@ class PoolConfig:
     Attributes:
         workers: Number of worker processes; default: one per core. Results state it, since planning times are
             wall-clock times.
-        backend: Location of the workers: local (this machine) or ray (nodes of a Ray cluster).
-        ray_address: Address of the Ray cluster; default: RAY_ADDRESS, else a local Ray instance, started if needed.
+        ray_address: Address of the Ray cluster whose nodes run the workers, as in `ray.init`: host:port, "auto" for the
+            cluster in RAY_ADDRESS or on this machine, or "local" to start one; default: processes of this machine,
+            without Ray.
     """
 
     workers: int | None = None
-    backend: Literal["local", "ray"] = LOCAL
     ray_address: str | None = None
 
 

@@ -24,8 +24,8 @@ from typing import Any, TypeAlias
 
 from loky.process_executor import ProcessPoolExecutor
 
-from handover_marl.errors import OptionError, WorkerError, check_name
-from handover_marl.execution.options import LOCAL, RAY, PoolConfig, require_modules, resolve_worker_count
+from handover_marl.errors import WorkerError
+from handover_marl.execution.options import PoolConfig, require_modules, resolve_worker_count
 from handover_marl.execution.tasks import (
     OpenWorker,
     Result,
@@ -146,14 +146,15 @@ class RayPool:
     used if it exists; a new one lasts as long as the process.
 
     Args:
-        config: Number of tasks that run at a time, and the cluster's address.
+        workers: Number of tasks that run at a time; None: the number of the cluster's cores.
+        address: Address of the cluster, as in `ray.init`.
     """
 
     location = "on a Ray cluster"
     is_remote = True
 
-    def __init__(self, config: PoolConfig) -> None:
-        self._config = config
+    def __init__(self, workers: int | None, address: str) -> None:
+        self._workers, self._address = workers, address
 
     @functools.cached_property
     def n_workers(self) -> int:
@@ -164,20 +165,20 @@ class RayPool:
         """
         import ray
 
-        config = self._config
         if not ray.is_initialized():
-            address = config.ray_address or os.environ.get("RAY_ADDRESS")
+            address = self._address
+            if address == "auto":
+                address = os.environ.get("RAY_ADDRESS", address)
             try:
-                _check_server(address or "")
-                ray.init(config.ray_address, include_dashboard=False, logging_level="error")
+                _check_server(address)
+                ray.init(address, include_dashboard=False, logging_level="error")
             except Exception as error:  # Ray raises exceptions of several packages
                 raise WorkerError(
-                    f"Ray cannot be reached at {address or 'the default address'} "
-                    f"({type(error).__name__}: {error}); start it there (ray start --head), or "
-                    "leave out ray_address for a Ray on this machine"
+                    f"Ray cannot be reached at {address} ({type(error).__name__}: {error}); start it there "
+                    "(ray start --head), or pass ray_address='local' for a Ray on this machine"
                 ) from error
         cores = int(ray.cluster_resources().get("CPU", 0))
-        return max(1, cores) if config.workers is None else resolve_worker_count(config.workers)
+        return max(1, cores) if self._workers is None else resolve_worker_count(self._workers)
 
     def map_unordered(
         self, open_worker: OpenWorker[Task, Result], tasks: Sequence[Task], describe: Callable[[Task], str] = str
@@ -281,20 +282,13 @@ def open_pool(config: PoolConfig) -> AnyPool:
     Processes are started, and Ray clusters connected to, for the first task.
 
     Raises:
-        UnknownNameError: The backend is unknown.
-        OptionError: The number of workers is invalid, Ray is not installed, or an address is given without Ray.
+        OptionError: The number of workers is invalid, or Ray is not installed.
     """
-    check_name("backend", config.backend, (LOCAL, RAY))
     n_workers = resolve_worker_count(config.workers)
-    if config.backend == RAY:
-        require_modules("backend 'ray'", "ray", "ray", advice="; or leave out `backend`")
-        return RayPool(config)
-    if config.ray_address is not None:
-        raise OptionError(
-            "ray_address must be used with backend='ray', got "
-            f"{config.ray_address!r} with backend {config.backend!r}; pass backend='ray'"
-        )
-    return Pool(n_workers)
+    if config.ray_address is None:
+        return Pool(n_workers)
+    require_modules("ray_address", "ray", "ray", advice="; or leave it out")
+    return RayPool(config.workers, config.ray_address)
 
 
 def map_with_progress(

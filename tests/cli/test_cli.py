@@ -31,7 +31,7 @@ def test_benchmark_and_evaluate(
     printed = capsys.readouterr()
     assert "1 of 36 scenes (partial)" in printed.out
     assert "timeout" in printed.err
-    assert main(["evaluate", str(tmp_path / "out")]) == 0
+    assert main(["report", str(tmp_path / "out")]) == 0
     text, report = printed.out.rstrip("\n").rsplit("\n\n", 1)
     assert capsys.readouterr().out == f"{text}\n\nPage not saved; add --out FILE.html.\n"
     assert report == f"Report: {tmp_path / 'out' / 'report.html'}"
@@ -46,7 +46,7 @@ def test_benchmark_and_evaluate(
         (["verify", "/nowhere", "--columns", "count"], "unknown column 'count'; valid: scene id, value"),
         (["benchmark", "--receiver", "nobody"], "unknown receiver 'nobody'; valid: gaddpg, hold"),
         (["pair", "--physics", "nuclear"], "unknown physics 'nuclear'; valid: exact"),
-        (["evaluate", "/nowhere"], "/nowhere does not exist"),
+        (["report", "/nowhere"], "/nowhere does not exist"),
         (["benchmark", "--out", ""], "out must be a path, got '' (it is empty)"),
     ],
 )
@@ -71,7 +71,7 @@ def test_ctrl_c(fake_data: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
 def test_closed_output(tmp_path: Path) -> None:
     """A reader may close the output of a command before its end."""
     program = "import sys; from handover_marl.cli import main; sys.exit(main())"
-    command = [sys.executable, "-c", program, "evaluate", str(write_results(tmp_path / "out"))]
+    command = [sys.executable, "-c", program, "report", str(write_results(tmp_path / "out"))]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stdout is not None
     process.stdout.close()

@@ -14,7 +14,7 @@ from handover_marl.datasets.generated.dataset import FIRST_CLASS
 from handover_marl.datasets.registry import DataLocation
 from handover_marl.errors import SceneError, UnknownNameError
 from handover_marl.evaluation.metadata import read_result_metadata
-from handover_marl.evaluation.reports.report import evaluate
+from handover_marl.evaluation.reports.report import load_report
 from handover_marl.evaluation.verification import verify
 from handover_marl.geometry.ycb import CLASS_NAMES
 from handover_marl.policies.policy import make_policy_context
@@ -64,7 +64,7 @@ def test_results_of_another_data_set(tmp_path: Path, monkeypatch: pytest.MonkeyP
     metadata = read_result_metadata(tmp_path / "out")
     n_split = len(open_dataset(NAME).list_scenes(None, "train"))
     assert (metadata.setup, metadata.dataset, metadata.n_split_scenes) == ("random", NAME, str(n_split))
-    again = evaluate(tmp_path / "out")
+    again = load_report(tmp_path / "out")
     assert again.episodes == report.episodes
     assert "data: generated scenes: n=2000" in again.heading
     assert f"1 of {n_split} scenes" in again.heading

@@ -65,7 +65,6 @@ SMALLER = {
     "    8, ": "    3, ",
     "vector_env(4, ": "vector_env(3, ",
     "512": "32",
-    'backend="ray"': "workers=1",
     '"async"': '"sync"',
 }
 

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
 OPTIONS: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "control_period": 0.15, "scenes": (5, 6)}
 TEST: dict[str, Any] = {"split": "test", "scenes": (209,)}
 POINTCLOUD = {"wrist_object_points", "wrist_hand_points", "wrist_point_counts"}
-RGBD = {"wrist_depth", "wrist_segmentation", "wrist_rgb"}
+RGBD = {"wrist_depth", "wrist_rgb"}
 FULL_POINTCLOUD = {"wrist_object_cloud", "wrist_hand_cloud", "wrist_point_counts", "robot_joint_position_exact"}
 KEYS = {"pointcloud": POINTCLOUD, "rgbd": RGBD, "full_pointcloud": FULL_POINTCLOUD}
 OWN = {"robot_joint_position", "robot_joint_velocity", "gripper_pose", "time"}
@@ -81,7 +81,7 @@ def test_looking_changes_nothing_else() -> None:
 
 
 def test_episodes_draw_noise_of_their_own() -> None:
-    env = make(obs_mode="state+rgbd", camera_noise="realsense", scenes=[5])
+    env = make(obs_mode="state+rgbd+segmentation", camera_noise="realsense", scenes=[5])
     first = env.reset(seed=0)[0]["receiver"]["wrist_depth"]
     second = env.reset()[0]["receiver"]["wrist_depth"]
     assert not np.array_equal(first, second)
@@ -90,7 +90,7 @@ def test_episodes_draw_noise_of_their_own() -> None:
 
 
 def test_a_look_is_the_view_of_the_moment() -> None:
-    env = make(obs_mode="state+rgbd", **TEST)
+    env = make(obs_mode="state+rgbd+segmentation", **TEST)
     with pytest.raises(ResetNeededError):
         env.capture_wrist_camera()
     observation = env.reset(seed=0, options={"scene_id": 209})[0]["receiver"]
@@ -120,7 +120,7 @@ class Looker(Receiver):
 
 
 def test_frozen_receivers_see_what_they_ask_for() -> None:
-    env = handover_marl.freeze(make(), "giver", Looker, api="gymnasium")
+    env = handover_marl.control_agent(make(), "giver", Looker, api="gymnasium")
     env.reset(seed=0)
     for _ in range(3):
         observation = env.step(np.zeros(8, dtype=np.float32))[0]
@@ -137,7 +137,11 @@ CAMERA_KEYS = [f"{name}_{key}" for name in ("wrist", "front") for key in ("rgb",
 
 def observe(count: int, randomization: CameraRandomization | None, seed: int = 5, **options: Any) -> Observation:
     """Return the camera data of `count` environments after a reset and a step."""
-    own: dict[str, Any] = {"cameras": SMALL, "obs_mode": "rgbd+pointcloud", "dataset": "synthetic"} | options
+    own: dict[str, Any] = {
+        "cameras": SMALL,
+        "obs_mode": "rgbd+segmentation+pointcloud",
+        "dataset": "synthetic",
+    } | options
     envs = handover_marl.vector_env(count, "receiver", camera_randomization=randomization, **own)
     envs.reset(seed=seed)
     observations = envs.step(envs.action_space.low)[0]

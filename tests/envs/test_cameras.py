@@ -35,7 +35,7 @@ RENDERERS = (("exact", "bullet"), ("fast", "rays"), ("mujoco", "rays"), ("mujoco
 
 
 def make(physics: str = "mujoco", renderer: str = "rays", **options: Any) -> HandoverEnv:
-    options = {"split": "val", "cameras": EVERY, "obs_mode": "rgbd", "dataset": "synthetic"} | options
+    options = {"split": "val", "cameras": EVERY, "obs_mode": "rgbd+segmentation", "dataset": "synthetic"} | options
     return handover_marl.parallel_env(physics=physics, renderer=renderer, **options)
 
 
@@ -85,7 +85,7 @@ def compute_distances_to_target(env: Any, observation: Observation, points: npt.
 @pytest.mark.slow
 @pytest.mark.parametrize(("physics", "renderer"), RENDERERS)
 def test_deprojected_depth_is_on_the_bodies(physics: str, renderer: str) -> None:
-    env = make(physics, renderer, obs_mode="state+rgbd")
+    env = make(physics, renderer, obs_mode="state+rgbd+segmentation")
     observation = observe(env)
     for name in NAMES:
         assert_on_surfaces(env, observation, name)
@@ -96,10 +96,15 @@ def test_deprojected_depth_is_on_the_bodies(physics: str, renderer: str) -> None
 def test_device_renders_every_camera() -> None:
     pytest.importorskip("torch", reason="needs the extra `warp`")
     pytest.importorskip("warp", reason="needs the extra `warp`")
-    options = {"split": "val", "cameras": EVERY, "obs_mode": "state+rgbd+pointcloud", "dataset": "synthetic"}
+    options = {
+        "split": "val",
+        "cameras": EVERY,
+        "obs_mode": "state+rgbd+segmentation+pointcloud",
+        "dataset": "synthetic",
+    }
     envs, env = (
         handover_marl.vector_env(2, "receiver", backend="warp", **options),
-        make(obs_mode="state+rgbd+pointcloud"),
+        make(obs_mode="state+rgbd+segmentation+pointcloud"),
     )
     observations, infos = envs.reset(seed=0, options=SCENE)
     expected = env.reset(options=SCENE)[0]["receiver"]

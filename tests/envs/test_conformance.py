@@ -10,7 +10,7 @@ from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test
 from pettingzoo.utils.conversions import parallel_to_aec
 
 import handover_marl
-from handover_marl import encode, freeze
+from handover_marl import control_agent, encode
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.wrappers.wrapper import EpisodeReturns, SingleAgentEnv
 from tests.envs.test_wrappers import Cost
@@ -30,11 +30,11 @@ def make(**options: Any) -> HandoverEnv:
 KINDS: dict[str, Callable[[], Any]] = {
     "both": make,
     "encoded": lambda: encode(make(), {"receiver": "grasp"}),
-    "receiver": lambda: freeze(make(obs_mode="state+pointcloud"), "receiver", "noisy"),
-    "giver": lambda: freeze(make(), "giver", "random"),
-    "encoded receiver": lambda: encode(Cost(freeze(Cost(make()), "receiver", "noisy"))),
-    "images": lambda: encode(freeze(make(obs_mode="rgb", cameras=CAMERAS), "receiver", "noisy"), "observation"),
-    "encoded giver": lambda: encode(EpisodeReturns(freeze(make(), "giver", "random"))),
+    "receiver": lambda: control_agent(make(obs_mode="state+pointcloud"), "receiver", "noisy"),
+    "giver": lambda: control_agent(make(), "giver", "random"),
+    "encoded receiver": lambda: encode(Cost(control_agent(Cost(make()), "receiver", "noisy"))),
+    "images": lambda: encode(control_agent(make(obs_mode="rgb", cameras=CAMERAS), "receiver", "noisy"), "observation"),
+    "encoded giver": lambda: encode(EpisodeReturns(control_agent(make(), "giver", "random"))),
 }
 
 

@@ -30,7 +30,7 @@ def test_wrapped_environments(frozen: bool) -> None:
     from torchrl.envs.utils import check_env_specs
 
     world = handover_marl.parallel_env(**OPTIONS)
-    env = torchrl_envs.PettingZooWrapper(handover_marl.encode(handover_marl.freeze(world) if frozen else world))
+    env = torchrl_envs.PettingZooWrapper(handover_marl.encode(handover_marl.control_agent(world) if frozen else world))
     check_env_specs(env)
     assert sorted(env.group_map) == (["receiver"] if frozen else ["giver", "receiver"])
     env.close()

@@ -15,8 +15,8 @@ from handover_marl.config import CameraConfig, ProtocolConfig, WorldConfig
 from handover_marl.envs.constructors import parallel_env
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.vector.vector_env import HandoverVectorEnv
+from handover_marl.envs.wrappers.control_agent import control_agent
 from handover_marl.envs.wrappers.encode import EncodedEnv, encode
-from handover_marl.envs.wrappers.freeze import freeze
 from handover_marl.envs.wrappers.wrapper import EpisodeReturns
 from handover_marl.errors import ActionError, OptionError, ResetNeededError, UnknownNameError
 from tests.envs.custom_rewards import approach
@@ -50,8 +50,8 @@ def make() -> HandoverEnv:
 
 
 def test_a_wrapper_changes_what_the_learner_gets_and_not_the_partner() -> None:
-    plain = handover_marl.freeze(make(), "receiver", "cooperative")
-    shifted = handover_marl.freeze(Cost(make()), "receiver", "cooperative")
+    plain = handover_marl.control_agent(make(), "receiver", "cooperative")
+    shifted = handover_marl.control_agent(Cost(make()), "receiver", "cooperative")
     for env in (plain, shifted):
         env.reset(seed=3)
     action = {"receiver": np.zeros(9, np.float32)}
@@ -154,7 +154,7 @@ def test_videos_have_the_duration_of_the_episode(tmp_path: Path) -> None:
     options = {**OPTIONS, "max_cycles": None, "control_period": 0.15, "render_mode": "rgb_array"}
     options |= {"world_config": WorldConfig(protocol=ProtocolConfig(horizon_steps=600))}
     live = handover_marl.parallel_env(**options, camera=CameraConfig(width=64, height=48))
-    env = gymnasium.wrappers.RecordVideo(handover_marl.freeze(live, "giver", "hold", api="gymnasium"), str(tmp_path))
+    env = gymnasium.wrappers.RecordVideo(control_agent(live, "giver", "hold", api="gymnasium"), str(tmp_path))
     env.reset(seed=0)
     while not any(env.step(np.zeros(8, dtype=np.float32))[2:4]):
         pass
@@ -167,7 +167,7 @@ SYNTHETIC: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "split":
 
 
 def encoded(agent: str, partner: str, actions: str | None = None, **options: Any) -> EncodedEnv:
-    return encode(freeze(parallel_env(**SYNTHETIC, **options), agent, partner), action_scheme=actions)
+    return encode(control_agent(parallel_env(**SYNTHETIC, **options), agent, partner), action_scheme=actions)
 
 
 @pytest.mark.slow
@@ -176,7 +176,7 @@ def test_rewards_add_up_until_the_next_decision() -> None:
     options = {"max_cycles": 40, "rewards": "shaped"}
     env, world = (
         encoded("giver", "hold", "offer", **options),
-        freeze(parallel_env(**SYNTHETIC, **options), "giver", "hold"),
+        control_agent(parallel_env(**SYNTHETIC, **options), "giver", "hold"),
     )
     _, infos = env.reset(seed=0, options={"scene_id": 9})
     before = infos["giver"]["steps"]
@@ -203,7 +203,7 @@ def test_rewards_add_up_until_the_next_decision() -> None:
         (lambda world, view: encode(view, {"giver": "giver"}), OptionError, "for receiver, got a choice for 'giver'"),
         (lambda world, view: encode(world, "receiver"), OptionError, "by agent for 2 agents"),
         (lambda world, view: encode(world, api="gymnasium"), OptionError, "one agent, got giver and receiver"),
-        (lambda world, view: freeze(encode(world), "receiver"), OptionError, "must not be encoded"),
+        (lambda world, view: control_agent(encode(world), "receiver"), OptionError, "must not be encoded"),
         (lambda world, view: encode(encode(world)), OptionError, "encode once"),
         (lambda world, view: encode(view).step({"receiver": np.zeros(7)}), ResetNeededError, "call reset"),
     ],
@@ -211,7 +211,7 @@ def test_rewards_add_up_until_the_next_decision() -> None:
 def test_wrong_use(wrap: Callable[[Any, Any], Any], error: type[Exception], message: str) -> None:
     world = parallel_env(**SYNTHETIC)
     with pytest.raises(error, match=message):
-        wrap(world, freeze(world, "receiver", "replay"))
+        wrap(world, control_agent(world, "receiver", "replay"))
 
 
 @pytest.mark.parametrize("actions", [None, {}, {"receiver": np.zeros(6)}, {"receiver": np.full(7, np.nan)}])

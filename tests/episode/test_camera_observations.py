@@ -18,7 +18,7 @@ from handover_marl.episode.camera_observations import (
     camera_observation_space,
 )
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.spaces import FULL_POINTCLOUD, OBS_PARTS, POINTCLOUD, RGBD, SCENE_POINTCLOUD, STATE
+from handover_marl.episode.spaces import FULL_POINTCLOUD, OBS_PARTS, POINTCLOUD, SCENE_POINTCLOUD, STATE
 from handover_marl.geometry.poses import transform_points
 from handover_marl.simulation.camera.images import CameraImage, SegmentationLabel
 from handover_marl.simulation.camera.noise import CameraNoise
@@ -74,7 +74,9 @@ def places_in(rows: npt.NDArray[np.float32], cloud: npt.NDArray[np.float32]) -> 
 
 def test_spaces_are_as_documented() -> None:
     assert camera_observation_space(STATE) == {}
-    points, images, clouds = (camera_observation_space(mode) for mode in (POINTCLOUD, RGBD, FULL_POINTCLOUD))
+    points, images, clouds = (
+        camera_observation_space(mode) for mode in (POINTCLOUD, "rgbd+segmentation", FULL_POINTCLOUD)
+    )
     shapes = {key: (space.shape, space.dtype) for key, space in {**points, **images, **clouds}.items()}
     assert list(points) == [OBJECT, HAND, COUNTS]
     assert shapes == {
@@ -97,7 +99,7 @@ def test_spaces_are_as_documented() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("obs_mode", [*OBS_PARTS, "state+rgbd+full_pointcloud"])
+@pytest.mark.parametrize("obs_mode", [*OBS_PARTS, "state+rgbd+segmentation+full_pointcloud"])
 def test_observations_are_elements_of_their_space(world: World, obs_mode: str) -> None:
     seen = make_wrist_camera(world, camera_noise="realsense").observe(obs_mode, world, STEPS)
     space = spaces.Dict(camera_observation_space(obs_mode))
@@ -197,7 +199,7 @@ LOOKS: list[Callable[[CameraSensor, World], object]] = [
     lambda wrist_camera, world: None,
     lambda wrist_camera, world: wrist_camera.capture(world, STEPS),
     lambda wrist_camera, world: wrist_camera.observe(POINTCLOUD, world, STEPS),
-    lambda wrist_camera, world: wrist_camera.observe(RGBD, world, STEPS),
+    lambda wrist_camera, world: wrist_camera.observe("rgbd", world, STEPS),
     lambda wrist_camera, world: wrist_camera.capture(world, STEPS - 1),
     lambda wrist_camera, world: wrist_camera.observe(POINTCLOUD, world, STEPS - 1),
 ]
@@ -242,7 +244,7 @@ def test_arrays_may_be_written_to(world: World) -> None:
     wrist_camera, fresh = (make_wrist_camera(world, camera_noise=NOISY) for _ in range(2))
     for look in (
         lambda of: of.observe(POINTCLOUD, world, STEPS),
-        lambda of: of.observe(RGBD, world, STEPS),
+        lambda of: of.observe("rgbd", world, STEPS),
         lambda of: as_dict(of.capture(world, STEPS)),
     ):
         seen = look(wrist_camera)

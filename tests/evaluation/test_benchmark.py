@@ -25,7 +25,7 @@ from handover_marl.errors import (
 )
 from handover_marl.evaluation.episode_runner import EpisodeRunner
 from handover_marl.evaluation.metadata import read_result_metadata
-from handover_marl.evaluation.reports.report import evaluate
+from handover_marl.evaluation.reports.report import load_report
 from handover_marl.evaluation.results import find_recordings
 from handover_marl.givers import Giver
 from tests.evaluation.quick import HORIZON, SCENES, SHORT, QuickReceiver, run, untimed
@@ -114,7 +114,7 @@ def test_an_interrupted_evaluation_resumes(
     path.write_bytes(path.read_bytes()[:-50])
     (tmp_path / ".000.npz.xyz.part").write_bytes(b"left over")
     with pytest.raises(ResultsError, match=r"001\.npz.*run"):
-        evaluate(tmp_path)
+        load_report(tmp_path)
     assert untimed(run(fake_data, tmp_path)) == untimed(resumed)
 
 
@@ -220,7 +220,7 @@ def official_folder(folder: Path, n: int = 144, **changes: Any) -> Path:
 
 
 def test_folders_of_the_original_code(tmp_path: Path) -> None:
-    report = evaluate(official_folder(tmp_path / "2022-02-28_12-40-26_omg-planner_s0_test"))
+    report = load_report(official_folder(tmp_path / "2022-02-28_12-40-26_omg-planner_s0_test"))
     assert report.metadata.receiver == "omg-planner"
     assert not report.is_partial
     assert report.success_rate == 0.25

@@ -87,7 +87,7 @@ def test_average_success_without_a_success_has_an_interval(tmp_path: Path) -> No
     rates = handover_marl.compare(failures, failures).build_tables()[0]
     interval = "0.00 (0.0 to 43.4)"
     assert [*rates.rows[-1]] == ["AS", interval, interval, "+0.00 (-28.0 to +28.0)", 5]
-    assert handover_marl.evaluate(failures).official_means["AS"].format(".2f", ".1f") == interval
+    assert handover_marl.load_report(failures).official_means["AS"].format(".2f", ".1f") == interval
 
 
 def report(physics: str, ends: list[tuple[int, int]]) -> Report:

@@ -43,7 +43,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[float | None, Path
 
 def test_without_inference_time_nothing_changes(folders: dict[float | None, Path]) -> None:
     """Reports without inference time do not mention it; with a time of 0 s the motion is equal to the bit."""
-    (off,), (zero,) = (handover_marl.evaluate(folders[time]).episodes for time in (None, 0.0))
+    (off,), (zero,) = (handover_marl.load_report(folders[time]).episodes for time in (None, 0.0))
     np.testing.assert_array_equal(read_actions(folders[None]), read_actions(folders[0.0]))
     assert (off.status, off.steps, off.release_step, off.fluency) == (
         *(zero.status, zero.steps, zero.release_step),
@@ -57,7 +57,7 @@ def test_without_inference_time_nothing_changes(folders: dict[float | None, Path
 
 
 def test_a_slow_receiver_acts_late_and_repeatably(folders: dict[float | None, Path], tmp_path: Path) -> None:
-    (off,), (late,) = (handover_marl.evaluate(folders[time]).episodes for time in (None, LATE))
+    (off,), (late,) = (handover_marl.load_report(folders[time]).episodes for time in (None, LATE))
     assert late.steps > off.steps
     with np.load(folders[LATE] / "002.npz") as file:
         assert late.late_s == pytest.approx(LATE * np.count_nonzero(file["elapsed_time"]), abs=LATE)
@@ -68,7 +68,7 @@ def test_a_slow_receiver_acts_late_and_repeatably(folders: dict[float | None, Pa
 
 def test_reports_state_the_inference_time(folders: dict[float | None, Path], tmp_path: Path) -> None:
     folder, label = folders[LATE], f"inference time {LATE} s a decision"
-    report = handover_marl.evaluate(folder)
+    report = handover_marl.load_report(folder)
     assert label in report.heading
     for name in ("report.md", "report.html"):
         text = (folder / name).read_text()

@@ -23,7 +23,7 @@ from handover_marl.evaluation.metadata import (
     parse_world_label,
     read_result_metadata,
 )
-from handover_marl.evaluation.reports.report import evaluate
+from handover_marl.evaluation.reports.report import load_report
 from handover_marl.evaluation.results import (
     EpisodeResult,
     ResultFolder,
@@ -95,7 +95,7 @@ def test_results_in_the_wrong_place_are_refused(folder: ResultFolder) -> None:
         read_results(folder.path)
     first.unlink()
     with pytest.raises(ResultsError, match=r"001\.npz must be of scene 214, got scene 209; delete it"):
-        evaluate(folder.path)
+        load_report(folder.path)
 
 
 def test_a_folder_belongs_to_its_first_evaluation(folder: ResultFolder, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -167,13 +167,13 @@ def change_config(path: Path, section: str, value: object) -> None:
 )
 def test_impossible_configurations(folder: ResultFolder, section: str, key: str, value: object, fault: str) -> None:
     change_config(folder.path, section, {key: value})
-    for read in (evaluate, lambda path: ResultFolder(path, SETTINGS)):
+    for read in (load_report, lambda path: ResultFolder(path, SETTINGS)):
         with pytest.raises(ResultsError, match=rf"config\.yaml: {fault}"):
             read(folder.path)
     change_config(folder.path, "HANDOVER_MARL", None)  # as HandoverSim writes it
     if section != "HANDOVER_MARL":
         with pytest.raises(ResultsError, match=rf"config\.yaml: {fault}"):
-            evaluate(folder.path)
+            load_report(folder.path)
 
 
 @pytest.mark.parametrize("text", ["", "[1]", "x: [", "SIM: [1]"])
@@ -234,7 +234,7 @@ def test_episode_files_hold_what_the_folder_holds(
     file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = write_results(tmp_path / "folder")
-    report, (metadata, stored) = handover_marl.evaluate(folder), read_episode_file(file)
+    report, (metadata, stored) = handover_marl.load_report(folder), read_episode_file(file)
     assert metadata == report.metadata
     for found, true in zip(stored, report.episodes, strict=True):
         assert replace(found, plan_s=0.0, fluency=None) == replace(true, plan_s=0.0, fluency=None)
@@ -247,7 +247,7 @@ def test_episode_files_hold_what_the_folder_holds(
     rows = {row[0]: row[1:] for row in handover_marl.compare(file, folder).build_tables()[-1].rows}
     assert float(str(rows["reach m"][0])) == 0.125, "the mean of 0.25 m and 0"
     assert rows["min distance cm"][2] == 1, "only one scene has a value in both"
-    assert main(["compare", str(file), str(folder)]) == main(["evaluate", str(file)]) == 0
+    assert main(["compare", str(file), str(folder)]) == main(["report", str(file)]) == 0
     assert "| reach m " in capsys.readouterr().out
 
 
@@ -276,4 +276,4 @@ def test_impossible_episode_files_are_refused(spoil: Callable[[dict[str, Any]], 
     spoil(content)
     file.write_text(json.dumps(content))
     with pytest.raises(ResultsError, match=r"a\.json"):
-        handover_marl.evaluate(file)
+        handover_marl.load_report(file)

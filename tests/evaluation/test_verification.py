@@ -19,7 +19,7 @@ from handover_marl.evaluation.benchmark import benchmark, evaluate_pair
 from handover_marl.evaluation.config import EvaluationConfig, resolve_config
 from handover_marl.evaluation.episode_runner import EpisodeRunner, SceneTask
 from handover_marl.evaluation.metadata import ResultMetadata
-from handover_marl.evaluation.reports.report import evaluate, write_report
+from handover_marl.evaluation.reports.report import load_report, write_report
 from handover_marl.evaluation.verification import (
     Difference,
     StoredActions,
@@ -146,7 +146,7 @@ def test_the_text_of_a_verification() -> None:
 
 def test_values_of_a_report_are_compared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert check_reports(write_results(tmp_path)) == ([], 0), "there is no report"
-    write_report(tmp_path, evaluate(tmp_path))
+    write_report(tmp_path, load_report(tmp_path))
     path = tmp_path / "report.json"
     report = json.loads(path.read_text())
 

@@ -133,7 +133,7 @@ def nodes(cluster: Any) -> Iterator[list[Any]]:
 
 
 def play(cluster: Any, out: Path | None = None, **options: Any) -> handover_marl.Report:
-    named = {**OPTIONS, "receiver": swaying(), "backend": "ray", "ray_address": cluster.address, "out": out, **options}
+    named = {**OPTIONS, "receiver": swaying(), "ray_address": cluster.address, "out": out, **options}
     return handover_marl.evaluate_pair(**named)
 
 

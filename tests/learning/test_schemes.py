@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 import handover_marl
 from handover_marl.config import GiverConfig, PandaConfig, ProtocolConfig, WorldConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.envs.wrappers.control_agent import control_agent
 from handover_marl.episode.observations import add_episode_axis
 from handover_marl.episode.spaces import check_giver_action, giver_action_space, receiver_action_space
 from handover_marl.errors import HandoverError, OptionError
@@ -269,7 +270,7 @@ def test_environments_take_own_features_and_schemes() -> None:
     assert env.observation_space("receiver").shape == (4,)
     names = {agent: env.action_space(agent).encoding["features"] for agent in env.possible_agents}
     assert names == {"giver": "giver", "receiver": "OffsetAndCount"}
-    alone = handover_marl.freeze(handover_marl.parallel_env(**SYNTHETIC), "receiver", "replay")
+    alone = control_agent(handover_marl.parallel_env(**SYNTHETIC), "receiver", "replay")
     own = handover_marl.encode(alone, OffsetAndCount, move_first_joint, api="gymnasium")
     assert (own.observation_space.shape, own.action_space.shape) == ((4,), (1,))
     for _ in range(2):
@@ -281,7 +282,7 @@ def test_environments_take_own_features_and_schemes() -> None:
 
 
 def test_camera_data_alone_suffices_for_own_features() -> None:
-    alone = handover_marl.freeze(handover_marl.parallel_env(obs_mode="pointcloud", **SYNTHETIC), "receiver", "replay")
+    alone = control_agent(handover_marl.parallel_env(obs_mode="pointcloud", **SYNTHETIC), "receiver", "replay")
     assert handover_marl.encode(alone, features_that(None)).observation_space("receiver").shape == (2,)
     with pytest.raises(OptionError, match="obs_mode must include the state"):
         handover_marl.encode(alone, features_that(None), "grasp_servo")

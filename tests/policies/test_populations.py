@@ -131,7 +131,7 @@ def test_a_vector_environment_equals_single_environments(tmp_path: Path) -> None
     action = batch[0]["robot_joint_position"][0]
     batch += [envs.step(np.tile(action, (3, 1)))[0] for _ in range(8)]
     envs.close()
-    env = handover_marl.freeze(handover_marl.parallel_env(**fields), "receiver", partner)
+    env = handover_marl.control_agent(handover_marl.parallel_env(**fields), "receiver", partner)
     for number in range(3):
         single = [env.reset(seed=3 + number)[0], *(env.step({"receiver": action})[0] for _ in range(8))]
         for step, found in enumerate(single):

@@ -15,7 +15,7 @@ from handover_marl.config import ProtocolConfig, WorldConfig
 from handover_marl.datasets import open_dataset
 from handover_marl.errors import HandoverError, UnsafeFileError
 from handover_marl.evaluation.comparison import compare
-from handover_marl.evaluation.reports.report import evaluate
+from handover_marl.evaluation.reports.report import load_report
 from handover_marl.evaluation.strangers.protocol import strangers
 from handover_marl.evaluation.verification import verify
 from handover_marl.learning.features import count_features
@@ -141,10 +141,10 @@ def test_names_in_files_need_trust(reader: str) -> None:
     [
         lambda: evaluate_strangers(False),
         lambda: verify(write_results(f"population:population={write_strangers_population()},partners=test"), **VERIFY),
-        lambda: evaluate(write_results()),
+        lambda: load_report(write_results()),
         lambda: compare(write_results(), "results"),
     ],
-    ids=["strangers", "nested", "evaluate", "compare"],
+    ids=["strangers", "nested", "report", "compare"],
 )
 def test_other_readers_import_nothing(read: Callable[[], object]) -> None:
     with contextlib.suppress(HandoverError):

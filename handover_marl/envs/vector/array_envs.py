@@ -22,7 +22,7 @@ _NONE = -1
 class ArrayEnvs:
     """Environments of one configuration whose episodes are simulated together; see `batch.Envs`.
 
-    Environment k behaves like a single environment with the wrappers `freeze` and `encode` that draws
+    Environment k behaves like a single environment with the wrappers `control_agent` and `encode` that draws
     the same scenes. Action schemes may need no outputs in the first control periods of an episode,
     for example while the robot waits. These periods of the next episode are simulated together with
     the current episode, which is faster than simulating these periods alone after a reset.

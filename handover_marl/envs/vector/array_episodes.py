@@ -10,8 +10,8 @@ from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.vector.batch import EnvResult
 from handover_marl.envs.vector.policy_batches import make_policy_batch
 from handover_marl.envs.vector.reward_sums import RewardSums
+from handover_marl.envs.wrappers.control_agent import FixedPartnerEnv
 from handover_marl.envs.wrappers.encode import EncodedEnv
-from handover_marl.envs.wrappers.freeze import FrozenPartnerEnv
 from handover_marl.envs.wrappers.wrapper import ByAgent, EpisodeReturns, WrappableEnv, list_wrappers
 from handover_marl.episode.episodes import Episodes
 from handover_marl.episode.loop import derive_giver_seed, derive_receiver_seed
@@ -33,9 +33,9 @@ from handover_marl.simulation.engines import BatchBackend
 class ArrayEpisodes:
     """Simulator of episodes of one configuration on arrays, with their rewards, features and action schemes.
 
-    An episode equals an episode of a single environment with the wrappers `freeze` and `encode`. The argument `rows`
-    (r,) of methods contains the indices of the episodes to which a method applies. All arrays are of the simulation's
-    kind: NumPy arrays, or PyTorch tensors on its device.
+    An episode equals an episode of a single environment with the wrappers `control_agent` and `encode`. The argument
+    `rows` (r,) of methods contains the indices of the episodes to which a method applies. All arrays are of the
+    simulation's kind: NumPy arrays, or PyTorch tensors on its device.
 
     Args:
         template: Single environment of the configuration, with its wrappers; it is not simulated.
@@ -63,7 +63,7 @@ class ArrayEpisodes:
         self._partner: PolicyBatch | None = None
         self._partner_agent = GIVER if self._agents == [RECEIVER] else RECEIVER
         for env in wrappers:
-            if isinstance(env, FrozenPartnerEnv):
+            if isinstance(env, FixedPartnerEnv):
                 self._partner = make_policy_batch(
                     env.reference, base.dataset, config.world_config, config.setup, count, arrays
                 )

@@ -14,8 +14,8 @@ from handover_marl.envs.rewards import TermWeights
 from handover_marl.envs.vector.array_envs import ArrayEnvs
 from handover_marl.envs.vector.batch import Envs
 from handover_marl.envs.vector.single_envs import SingleEnvs, WrapperFunction, apply_wrapper
+from handover_marl.envs.wrappers.control_agent import FixedPartnerEnv, control_agent
 from handover_marl.envs.wrappers.encode import EncodedEnv, encode
-from handover_marl.envs.wrappers.freeze import FrozenPartnerEnv, freeze
 from handover_marl.envs.wrappers.wrapper import EpisodeReturns, WrappableEnv, list_wrappers
 from handover_marl.episode.spaces import FULL_POINTCLOUD, STATE, parse_obs_mode
 from handover_marl.errors import OptionError
@@ -72,7 +72,7 @@ class EnvFactory:
     def uses_arrays(self) -> bool:
         """Whether `ArrayEnvs` simulates the environments together.
 
-        Arrays need MuJoCo's physics, no wrappers but `EpisodeReturns`, `freeze` and `encode` in this order, and
+        Arrays need MuJoCo's physics, no wrappers but `EpisodeReturns`, `control_agent` and `encode` in this order, and
         either no camera, or "warp" with a camera that passes `check_device`.
         """
         if self.config.physics != MUJOCO or self.config.render_mode is not None:
@@ -80,10 +80,10 @@ class EnvFactory:
         if self.config.obs_mode != STATE and self.backend.name != WARP:
             return False
         wrappers = list_wrappers(self.template)
-        if any(isinstance(env, FrozenPartnerEnv) and env.policy.obs_mode != STATE for env in wrappers):
+        if any(isinstance(env, FixedPartnerEnv) and env.policy.obs_mode != STATE for env in wrappers):
             return False
         kinds = [type(env) for env in wrappers]
-        return kinds == [kind for kind in (EncodedEnv, FrozenPartnerEnv, EpisodeReturns) if kind in kinds]
+        return kinds == [kind for kind in (EncodedEnv, FixedPartnerEnv, EpisodeReturns) if kind in kinds]
 
     def check_device(self) -> None:
         """Check that the environments can be simulated on a device, with the backend "warp".
@@ -117,7 +117,7 @@ class EnvFactory:
         for wrapper in self.wrappers:
             env = apply_wrapper(wrapper, env)
         if self.agent is not None:
-            env = freeze(env, self.agent, self.partner, trust=self.trust)
+            env = control_agent(env, self.agent, self.partner, trust=self.trust)
         if self.features is None and self.action_scheme is None:
             return env
         return encode(env, self.features, self.action_scheme)
@@ -128,7 +128,7 @@ class EnvFactory:
         faults = [
             (env.policy.obs_mode != STATE, f"a partner without a camera, got {env.policy.name!r}")
             for env in list_wrappers(self.template)
-            if isinstance(env, FrozenPartnerEnv)
+            if isinstance(env, FixedPartnerEnv)
         ]
         if config.obs_mode == STATE:
             return faults

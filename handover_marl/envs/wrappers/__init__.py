@@ -1,1 +1,1 @@
-"""Wrappers of the handover environment: freeze, encode, flatten."""
+"""Wrappers of the handover environment: control_agent and encode."""

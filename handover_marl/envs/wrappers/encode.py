@@ -197,7 +197,7 @@ def encode(
     Outputs are in [-1, 1], but for the action schemes `giver` and `receiver`, whose outputs are in physical units.
 
     Args:
-        env: `handover_marl.parallel_env(...)`, or `freeze(...)` of it.
+        env: `handover_marl.parallel_env(...)`, or `control_agent(...)` of it.
         features: Name of built-in features, or user-defined ones: a subclass of `FeatureExtractor`, a function
             with `declare_size`, or text `module:name`; "observation" for observations as they are, such as images;
             a mapping by agent if `env` has two agents; default: "giver" for the giver and "receiver" for the receiver.

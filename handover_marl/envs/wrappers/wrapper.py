@@ -122,7 +122,7 @@ class SingleAgentEnv(gymnasium.Env[Any, Any], EzPickle):
     """Gymnasium adapter of a parallel environment with one agent, as Stable-Baselines3 needs it.
 
     Args:
-        env: Parallel environment with one agent, as `freeze` and `encode` return it.
+        env: Parallel environment with one agent, as `control_agent` and `encode` return it.
 
     Attributes:
         scene_ids: Numbers of the scenes that `reset` draws from.
@@ -138,7 +138,7 @@ class SingleAgentEnv(gymnasium.Env[Any, Any], EzPickle):
         if len(env.possible_agents) != 1:
             raise OptionError(
                 f"a Gymnasium environment must have one agent, got {' and '.join(env.possible_agents)}; call "
-                "freeze() first"
+                "control_agent() first"
             )
         self.env, self.scene_ids = env, env.unwrapped.scene_ids
         (self.agent,) = env.possible_agents

@@ -267,7 +267,7 @@ def _format_published_row(row: PublishedResult) -> list[object]:
     return [f"published: {row.method}", *rates, f"{row.average_success:.2f}*", f"{row.wait_s:g}", *times]
 
 
-def evaluate(folder: str | os.PathLike[str]) -> Report:
+def load_report(folder: str | os.PathLike[str]) -> Report:
     """Compute the metrics of an official result folder, of this library or of HandoverSim, or of an episode file.
 
     Args:

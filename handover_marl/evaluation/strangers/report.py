@@ -18,7 +18,7 @@ from handover_marl.errors import OptionError, ResultsError
 from handover_marl.evaluation.crossplay import format_pair_folder
 from handover_marl.evaluation.metadata import OFFICIAL_WORLD
 from handover_marl.evaluation.reports.episode_tables import estimate_fluency
-from handover_marl.evaluation.reports.report import Report, evaluate
+from handover_marl.evaluation.reports.report import Report, load_report
 from handover_marl.evaluation.reports.tables import (
     AVERAGE_SUCCESS,
     FLUENCY,
@@ -262,7 +262,7 @@ def read_report(folder: Path, population: Population) -> StrangersReport:
         if [*folders] != [partner.name for partner in partners]:
             raise ResultsError(f"{folder} must have the partners of {split!r}, got others; evaluate again")
         for partner, name in folders.items():
-            report = reports[policy, partner] = evaluate(folder / name)
+            report = reports[policy, partner] = load_report(folder / name)
             first, metadata = next(iter(reports.values())), report.metadata
             conditions = [Condition.from_report(agent, each) for each in (report, first)]
             differences = conditions[0].list_differences(conditions[1])

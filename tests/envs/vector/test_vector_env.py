@@ -17,6 +17,7 @@ import handover_marl
 from handover_marl.config import WorldConfig
 from handover_marl.envs.vector.array_episodes import ArrayEpisodes
 from handover_marl.envs.vector.vector_env import HandoverVectorEnv
+from handover_marl.envs.wrappers.control_agent import control_agent
 from handover_marl.envs.wrappers.wrapper import SingleAgentEnv
 from handover_marl.episode.episode import Episode
 from handover_marl.errors import (
@@ -57,7 +58,7 @@ class Failing(Receiver):
 
 def single(agent: str, partner: str, **options: Any) -> gymnasium.Env[Any, Any]:
     world = handover_marl.parallel_env(**options)
-    return handover_marl.freeze(world, agent, partner, api="gymnasium")
+    return control_agent(world, agent, partner, api="gymnasium")
 
 
 def rollout(envs: gymnasium.vector.VectorEnv[Any, Any, Any], steps: int, seed: int = 3) -> list[Any]:
@@ -115,7 +116,7 @@ def test_equal_to_single_environments_to_the_bit(
     agent: str, partner: str, encodings: tuple[Any, ...], autoreset: str, steps: int, options: dict[str, Any]
 ) -> None:
     def make() -> Any:
-        live = handover_marl.freeze(handover_marl.parallel_env(**options), agent, partner)
+        live = control_agent(handover_marl.parallel_env(**options), agent, partner)
         return handover_marl.encode(live, *encodings, api="gymnasium") if encodings else SingleAgentEnv(live)
 
     mode = gymnasium.vector.AutoresetMode[autoreset.upper()]
@@ -156,7 +157,7 @@ def test_whole_handovers_to_yang_are_equal_to_the_bit() -> None:
     options = {**OPTIONS, "control_period": 0.2, "max_cycles": 40, "rewards": "shaped"}
     encodings = {"features": "giver", "action_scheme": "offer"}
     together = handover_marl.vector_env(2, "giver", "yang2021:wait=0.5", threads=1, **encodings, **options)
-    live = [handover_marl.freeze(handover_marl.parallel_env(**options), "giver", "yang2021:wait=0.5") for _ in range(2)]
+    live = [control_agent(handover_marl.parallel_env(**options), "giver", "yang2021:wait=0.5") for _ in range(2)]
     alone = gymnasium.vector.SyncVectorEnv(
         [lambda env=env: handover_marl.encode(env, "giver", "offer", api="gymnasium") for env in live]
     )
@@ -184,7 +185,7 @@ def test_the_next_episode_is_the_one_that_a_single_environment_draws() -> None:
     together = handover_marl.vector_env(
         3, "receiver", "hesitant", features="close", action_scheme="grasp_servo", threads=1, **options
     )
-    live = [handover_marl.freeze(handover_marl.parallel_env(**options), "receiver", "hesitant") for _ in range(3)]
+    live = [control_agent(handover_marl.parallel_env(**options), "receiver", "hesitant") for _ in range(3)]
     alone = gymnasium.vector.SyncVectorEnv(
         [lambda env=env: handover_marl.encode(env, "close", "grasp_servo", api="gymnasium") for env in live]
     )

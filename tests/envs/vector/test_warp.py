@@ -143,7 +143,7 @@ def test_clouds_equal_those_of_single_environments() -> None:
 
 @pytest.mark.slow
 def test_spaces_contain_observations() -> None:
-    envs = handover_marl.vector_env(COUNT, obs_mode="state+rgbd+pointcloud", **WARP, **RECEIVERS)
+    envs = handover_marl.vector_env(COUNT, obs_mode="state+rgbd+segmentation+pointcloud", **WARP, **RECEIVERS)
     observations, _ = envs.reset(seed=SEED)
     for row in read_rows(observations):
         assert envs.single_observation_space.contains(row)

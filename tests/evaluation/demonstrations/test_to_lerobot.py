@@ -77,7 +77,7 @@ def test_lerobot_reads_the_data_set(
     import torch
 
     monkeypatch.setattr(lerobot, "HF_LEROBOT_HOME", tmp_path / "lerobot")
-    ours: Demonstrations = record(tmp_path / "out", fps=FPS, obs_mode="state+rgbd", giver="noisy")
+    ours: Demonstrations = record(tmp_path / "out", fps=FPS, obs_mode="state+rgbd+segmentation", giver="noisy")
     assert main(["convert", str(tmp_path / "out"), "--to", "lerobot", "--name", NAME]) == 0
     assert f"Data set: {tmp_path / 'lerobot' / NAME}" in capsys.readouterr().out
     dataset = lerobot.LeRobotDataset(NAME)

@@ -125,6 +125,6 @@ def test_replay_links_are_relative_to_the_page(tmp_path: Path) -> None:
     for name in ("214.html", "001.html", "notes.html"):
         (results / "episodes" / name).write_text("")
     assert find_replay_links(results, results) == {1: "episodes/001.html", 214: "episodes/214.html"}
-    assert main(["evaluate", str(results), "--out", str(tmp_path / "report.html")]) == 0
+    assert main(["report", str(results), "--out", str(tmp_path / "report.html")]) == 0
     assert "run/episodes/214.html" in references((tmp_path / "report.html").read_text())
-    assert main(["evaluate", str(results), "--out", str(tmp_path / "report.pdf")]) == 2
+    assert main(["report", str(results), "--out", str(tmp_path / "report.pdf")]) == 2

@@ -57,8 +57,8 @@ def test_stdout_of_a_command_is_the_result(tmp_path: Path, capsys: pytest.Captur
     """The standard output in CSV or LaTeX has the result only; notes are printed to the standard error."""
     folder = write_results(tmp_path)
     for table_format in TABLE_FORMATS:
-        expected = handover_marl.evaluate(folder).format(table_format)
-        assert main(["evaluate", str(folder), "--format", table_format]) == 0
+        expected = handover_marl.load_report(folder).format(table_format)
+        assert main(["report", str(folder), "--format", table_format]) == 0
         printed = capsys.readouterr()
         note = "Page not saved; add --out FILE.html.\n"
         if table_format == "markdown":
@@ -70,9 +70,9 @@ def test_stdout_of_a_command_is_the_result(tmp_path: Path, capsys: pytest.Captur
 def test_episodes_as_csv(tmp_path: Path) -> None:
     """The CSV file has one row for each episode, with the keys and values of report.json."""
     folder = write_results(tmp_path / "run")
-    made = handover_marl.evaluate(folder)
+    made = handover_marl.load_report(folder)
     content = made.to_json()
-    assert main(["evaluate", str(folder), "--episodes", str(tmp_path / "all.csv")]) == 0
+    assert main(["report", str(folder), "--episodes", str(tmp_path / "all.csv")]) == 0
     text = (tmp_path / "all.csv").read_text()
     assert text == made.format_episodes_csv()
     rows = list(csv.DictReader(io.StringIO(text)))
@@ -82,7 +82,7 @@ def test_episodes_as_csv(tmp_path: Path) -> None:
         assert row == {key: "" if values[key] is None else str(values[key]) for key in row}
         missing = {*stored, *stored["fluency"]} - {*row}
         assert missing == {"fluency"}
-    assert main(["evaluate", str(folder), "--episodes", str(tmp_path / "all.txt")]) == 2
+    assert main(["report", str(folder), "--episodes", str(tmp_path / "all.txt")]) == 2
 
 
 def test_wilson_against_known_values() -> None:

@@ -145,7 +145,7 @@ def test_adapted_policies_are_taken_everywhere(tmp_path: Path) -> None:
     assert "person" in str(report)
     assert handover_marl.evaluate_pair(human, robot, out=tmp_path, **where).n_resumed == 1
     assert handover_marl.verify(tmp_path, giver=human, **options).is_verified
-    env = handover_marl.freeze(handover_marl.parallel_env(dataset="synthetic", physics="fast"), "giver", robot)
+    env = handover_marl.control_agent(handover_marl.parallel_env(dataset="synthetic", physics="fast"), "giver", robot)
     env.reset(seed=0)
     env.step({"giver": np.zeros(8, np.float32)})
     env.close()

@@ -36,7 +36,7 @@ def make_env(name: str, **options: Any) -> Any:
 @pytest.fixture(scope="module")
 def encoded() -> Iterator[Any]:
     """Return an environment with features and action scheme, and the control period 0.2 s."""
-    env = handover_marl.freeze(
+    env = handover_marl.control_agent(
         handover_marl.parallel_env(dataset="synthetic", physics="fast", control_period=0.2), "receiver", "replay"
     )
     choice = CHOICES["receiver"]

@@ -28,7 +28,7 @@ def batch() -> BatchVecEnv:
 
 
 def alone() -> Any:
-    live = handover_marl.freeze(handover_marl.parallel_env(**OPTIONS), "giver", "hold")
+    live = handover_marl.control_agent(handover_marl.parallel_env(**OPTIONS), "giver", "hold")
     return handover_marl.encode(live, api="gymnasium")
 
 

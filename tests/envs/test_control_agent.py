@@ -14,7 +14,7 @@ from handover_marl import receivers
 from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP
 from handover_marl.envs.constructors import parallel_env
 from handover_marl.envs.handover_env import HandoverEnv
-from handover_marl.envs.wrappers.freeze import FrozenPartnerEnv, freeze
+from handover_marl.envs.wrappers.control_agent import FixedPartnerEnv, control_agent
 from handover_marl.envs.wrappers.wrapper import SingleAgentEnv
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import derive_giver_seed, run_episode
@@ -37,8 +37,8 @@ def only_known_scenes(monkeypatch: pytest.MonkeyPatch) -> None:
     )
 
 
-def frozen(data: Path, agent: str = "receiver", partner: Any = None, **options: Any) -> FrozenPartnerEnv:
-    return freeze(parallel_env(data_dir=data, **options), agent, partner)
+def frozen(data: Path, agent: str = "receiver", partner: Any = None, **options: Any) -> FixedPartnerEnv:
+    return control_agent(parallel_env(data_dir=data, **options), agent, partner)
 
 
 @pytest.mark.slow
@@ -95,9 +95,9 @@ def test_wrong_partners(fake_data: Path, agent: str, partner: Any, error: type[E
 def test_order_and_malformed_actions(fake_data: Path) -> None:
     env = frozen(fake_data)
     with pytest.raises(OptionError, match="both agents, got only receiver"):
-        freeze(env, "giver")
+        control_agent(env, "giver")
     with pytest.raises(OptionError, match=r"made by handover_marl\.parallel_env\(\)"):
-        freeze(handover_marl.env(data_dir=fake_data), "giver")
+        control_agent(handover_marl.env(data_dir=fake_data), "giver")
     with pytest.raises(ResetNeededError):
         env.step({"receiver": START})
     env.reset(seed=0)
@@ -130,7 +130,7 @@ class Counting(Giver):
 
 
 def test_failing_partners_are_reported() -> None:
-    env = freeze(parallel_env(**SYNTHETIC), "receiver", (Counting, {"fails": True}))
+    env = control_agent(parallel_env(**SYNTHETIC), "receiver", (Counting, {"fails": True}))
     env.reset(seed=0)
     env.step({"receiver": START})
     with pytest.raises(PolicyError, match=r"policy 'counting' failed \(after 100 steps\): ZeroDivisionError: nought"):
@@ -170,7 +170,7 @@ def play_pair(agent: str, partner: Any, scene: int) -> tuple[Any, Observation]:
 def play_frozen(agent: str, partner: Any, scene: int, period: float) -> tuple[Any, Observation]:
     """Play this episode in an environment with a frozen partner; the other agent overwrites its observations."""
     (live,) = {"giver", "receiver"} - {agent}
-    env = handover_marl.freeze(make_env(period), live, partner)
+    env = handover_marl.control_agent(make_env(period), live, partner)
     observations, _ = env.reset(seed=SEED, options={"scene_id": scene})
     while env.agents:
         for value in observations[live].values():

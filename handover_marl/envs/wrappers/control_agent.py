@@ -14,15 +14,15 @@ from handover_marl.policies.registry import list_available
 DEFAULT_PARTNERS = {RECEIVER: "replay", GIVER: "yang2021"}
 
 
-class FrozenPartnerEnv(ParallelWrapper):
-    """Parallel environment of one agent, made by `freeze`; a fixed policy acts for the other agent.
+class FixedPartnerEnv(ParallelWrapper):
+    """Parallel environment of one agent, made by `control_agent`; a fixed policy acts for the other agent.
 
     The partner acts as in evaluations: at its own control period, which may differ from the environment's, and with
     seeds that are derived from a run seed, which is drawn for each episode. Wrappers of `env` change neither
     observations nor actions of the partner.
 
     Args:
-        env: Environment with both agents, see `freeze` for this and the other arguments.
+        env: Environment with both agents, see `control_agent` for this and the other arguments.
         agent: Agent that is controlled from outside.
         partner: Policy of the other agent.
         trust: Whether a policy file may run code.
@@ -34,7 +34,7 @@ class FrozenPartnerEnv(ParallelWrapper):
         policy: Policy of the partner.
     """
 
-    metadata: dict[str, Any] = {**HandoverEnv.metadata, "name": "handover_frozen_partner_v0"}
+    metadata: dict[str, Any] = {**HandoverEnv.metadata, "name": "handover_fixed_partner_v0"}
 
     def __init__(
         self, env: WrappableEnv, agent: str = RECEIVER, partner: PolicyLike | None = None, trust: bool = False
@@ -49,8 +49,8 @@ class FrozenPartnerEnv(ParallelWrapper):
         base = self.unwrapped
         if env.observation_space(self.partner_agent) != base.observation_space(self.partner_agent):
             raise OptionError(
-                f"observations of the {self.partner_agent} must not be encoded, because it is frozen to a policy; "
-                "call freeze() first, then encode()"
+                f"observations of the {self.partner_agent} must not be encoded, because a policy acts for it; "
+                "call control_agent() first, then encode()"
             )
         chosen = DEFAULT_PARTNERS[agent] if partner is None else partner
         if isinstance(chosen, str) and chosen in set(list_available(agent)) - set(list_available(self.partner_agent)):
@@ -98,7 +98,7 @@ class FrozenPartnerEnv(ParallelWrapper):
         return observations, rewards, terminations, truncations, infos
 
 
-def freeze(
+def control_agent(
     env: WrappableEnv,
     agent: str = RECEIVER,
     partner: PolicyLike | None = None,
@@ -121,4 +121,4 @@ def freeze(
         UnknownNameError: There is no such agent, policy or API.
         OptionError: `env` does not have both agents, or the partner is encoded.
     """
-    return convert_api(FrozenPartnerEnv(env, agent, partner, trust), api)
+    return convert_api(FixedPartnerEnv(env, agent, partner, trust), api)
