@@ -309,14 +309,14 @@ def make_summary(evaluations: Iterable[Evaluation], setup: str) -> str:
 def make_difference_table(
     evaluations: Iterable[Evaluation], pairs: Sequence[tuple[str, float, str, float]], setups: tuple[str, ...] = ("s0",)
 ) -> str:
-    """Return a Markdown table of differences of test results on DexYCB, paired by scene, and its commands.
+    """Return a Markdown table of paired differences of receivers on DexYCB's test splits, and the commands for them.
 
-    Pairs of which an evaluation has no stored outcomes are left out.
+    Differences are A minus B on the same scenes. Pairs without stored outcomes of both receivers are left out.
 
     Args:
-        evaluations: All evaluations.
-        pairs: Receivers and their waiting times (s): minuend and subtrahend.
-        setups: Setups in the table.
+        evaluations: All stored evaluations.
+        pairs: Receiver A, its wait (s), receiver B and its wait (s), for each row.
+        setups: Setups for which rows are made.
     """
     names = tuple(name for pair in pairs for name in pair[::2])
     chosen = select_evaluations(evaluations, names)

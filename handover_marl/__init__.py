@@ -2,7 +2,7 @@
 
 env = handover_marl.parallel_env(setup="s0", split="train")      PettingZoo parallel environment
 env = handover_marl.env(setup="s0", split="train")               PettingZoo AEC environment
-env = handover_marl.control_agent(env, "receiver", "replay")            one agent to control
+env = handover_marl.control_agent(env, "receiver", "replay")     one agent to control
 env = handover_marl.encode(env)                                  features and scaled outputs
 env = handover_marl.vector_env(64, "receiver", "replay")         many environments at once
 env = gymnasium.make("HandoverMARL/Receiver-v0", setup="s0")     Gymnasium environment of the robot

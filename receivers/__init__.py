@@ -24,6 +24,11 @@ def make(policy: PolicyLike, dataset: Dataset | None = None, trust: bool = False
     """Create a receiver, named as text such as "vision:wait=1" or given as a class, for a dataset's robot and objects.
 
     The default dataset is `open_dataset()`. `trust` allows code in a policy file, and `setup` selects the
-    shipped weights. Errors are as in `handover_marl.givers.make`.
+    shipped weights.
+
+    Raises:
+        UnknownNameError, UnknownArgumentError: There is no such receiver, or it has no such option.
+        OptionError: An option has a wrong value.
+        HandoverError: The default dataset cannot be opened.
     """
     return parse_policy("receiver", policy, trust).make(dataset, setup=setup)

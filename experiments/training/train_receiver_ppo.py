@@ -1,4 +1,4 @@
-"""Train a receiver for a frozen giver by PPO in plain PyTorch, in one file.
+"""Train a receiver for a fixed giver by PPO in plain PyTorch, in one file.
 
     python experiments/training/train_receiver_ppo.py --data-dir DIR --out runs/ppo.npz
 
@@ -40,7 +40,7 @@ class Args(RlArgs):
 
     Attributes:
         out: Policy file to write.
-        giver: Frozen giver, with options.
+        giver: Fixed policy of the giver, with options.
         features: Features of the receiver: close, or close_stack for those of the last four decisions.
         actions: Action scheme of the receiver.
         rewards: Rewards: sparse, shaped, or module:name of own ones, see docs/reference/rewards.md.

@@ -1,4 +1,4 @@
-"""Train one agent for a frozen partner with Stable-Baselines3's PPO.
+"""Train one agent for a fixed partner with Stable-Baselines3's PPO.
 
 The script needs the extra `train`, and by default MuJoCo; `--physics fast` does not need it, but is slower.
 
@@ -56,7 +56,7 @@ from handover_marl.simulation.engines import MUJOCO
 _CHECKPOINT = "checkpoint.zip"
 
 
-# Features, action scheme and frozen partner by default.
+# Features, action scheme and partner by default.
 _DEFAULTS = {"receiver": ("close", "grasp_servo", "cooperative"), "giver": ("giver", "offer", "yang2021")}
 
 

@@ -88,7 +88,7 @@ class Args(SetupArgs):
 
 
 def train_policy(args: Args, agent: str, partner: str, path: Path, seed: int, share: float = 1.0) -> Path:
-    """Train a policy with a frozen partner and write its file, unless this file exists.
+    """Train a policy with a fixed partner and write its file, unless this file exists.
 
     The training of a giver that was interrupted, or that stopped after a smaller share of its decisions, continues in
     its folder.

@@ -203,7 +203,7 @@ class Dataset(ABC):
 
         Raises:
             DataNotFoundError: A file is missing.
-            UnsafeFileError, DataFormatError: A file that is read at once may run code, or is damaged.
+            UnsafeFileError, DataFormatError: A file that this check reads may run code, or is damaged.
         """
 
     @abstractmethod
@@ -211,7 +211,7 @@ class Dataset(ABC):
         """Return a text that identifies a scene's content: it changes with the motion, models or robot grasps."""
 
     def describe_models(self, scene_id: int) -> str:
-        """Return a note for results on the origin of a scene's models, e.g. "stand-in hand"; "" if there is none."""
+        """Return text for reports on the origin of a scene's models, e.g. "MANO hand, stand-in grasps"; default: ""."""
         return ""
 
     def find_side(self, scene_id: int) -> str:

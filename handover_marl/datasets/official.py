@@ -197,7 +197,12 @@ class OfficialDataset(Dataset):
         return None if path is None else self._load_grasps(path)
 
     def check_scenes(self, scene_ids: tuple[int, ...]) -> None:
-        """Check that all files of the given scenes exist, and read the grasps of their objects."""
+        """Check that all files of the given scenes exist and that the grasp files of their objects can be read.
+
+        Raises:
+            DataNotFoundError: A file is missing.
+            UnsafeFileError, DataFormatError: A grasp file may run code, or is damaged.
+        """
         for scene_id in scene_ids:
             info = self.load_info(scene_id)
             self._find_scene_assets(info)

@@ -50,5 +50,7 @@ def single_agent_env(
         config: Configuration; default: one made of `fields`.
         fields: Fields of `handover_marl.envs.config.EnvConfig`, in place of `config`.
     """
-    frozen: SingleAgentEnv = control_agent(HandoverEnv(config, **fields), agent, partner, api="gymnasium", trust=trust)
-    return frozen
+    controlled: SingleAgentEnv = control_agent(
+        HandoverEnv(config, **fields), agent, partner, api="gymnasium", trust=trust
+    )
+    return controlled

@@ -29,7 +29,7 @@ class Transition:
             full state, see `state`.
         next_observations: Observation after the step, by agent.
         actions: Action by agent at the start of the step: giver (8,), clipped to its bounds; receiver (9,)
-            target joint positions (rad, m); float32. A frozen partner may act again within the step.
+            target joint positions (rad, m); float32. A fixed partner may act again within the step.
         infos: Infos after the step by agent, without reward terms: `scene_id`, `status`, `steps`
             (physics steps of 1 ms), `release_step` and `release`.
         contacts: Contacts of robot, object and human hand in the last physics step (1 ms) of the

@@ -83,7 +83,7 @@ class SequentialPolicyBatch(PolicyBatch):
 
 
 class HostPolicyBatch(PolicyBatch):
-    """Batch of policies on NumPy arrays that act in episodes whose arrays are tensors.
+    """Adapter that runs a batch of NumPy policies in episodes on a GPU: copies observations to the CPU, actions back.
 
     Args:
         batch: Batch of policies that takes and returns NumPy arrays.

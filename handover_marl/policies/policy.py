@@ -186,7 +186,7 @@ class Policy(ABC):
         """Time (s) for which the last action is held; default: the control period.
 
         Subclasses may override it to act more often in some phases. Evaluations, and environments in which
-        the policy is a frozen partner, call it after exactly this time.
+        the policy is a fixed partner, call it after exactly this time.
         """
         return self.control_period
 

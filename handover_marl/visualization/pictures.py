@@ -1,4 +1,4 @@
-"""Pictures: frames of an episode as image grids and videos, the wrist camera's view, motion plans, paths and heat maps.
+"""Pictures: frames of an episode as image grids and videos, the wrist camera's view, paths and heat maps.
 
 Figures need matplotlib (extra `plot`), videos as `.mp4` need imageio (extra `render`).
 """

@@ -196,12 +196,19 @@ def make_offset_pose(tilt: float, lateral: float = 0.0, backward: float = 0.0) -
 def validate_grasps(
     object_urdf: Path, panda_urdf: Path, known: Array, config: GraspPreparationConfig
 ) -> ValidatedGrasps:
-    """Return an object's known grasps and those tilted copies that hold the object in simulation.
+    """Return an object's known grasps, and tilted copies that held the object when shaken, with their success rates.
 
-    The known grasps are poses (n, 7) of the hand link in the object's frame. Each grasp is moved along its approach
-    axis towards the object as far as the open gripper does not collide. The fingers are those of `panda_urdf`.
+    Known grasps that failed are kept with a success rate of 0. The returned grasps are moved along their approach axis
+    (z of the hand link) towards the object, as far as the open gripper does not collide.
+
+    Args:
+        object_urdf: URDF of the object.
+        panda_urdf: URDF of the Panda whose fingers are simulated.
+        known: (n, 7) poses of the hand link in the object's frame, xyz (m) and quaternion xyzw.
+        config: Tilts, offsets and conditions of the simulated trials.
 
     Raises:
+        OptionError: MuJoCo is not installed.
         SimulationError: A model cannot be loaded.
     """
     return grasps_from_record(get_validation_record(object_urdf, panda_urdf, known, config), known, config)

@@ -92,7 +92,7 @@ class GeneratedConfig:
 
     @property
     def kind_weights(self) -> tuple[float, ...]:
-        """Relative frequencies of the kinds of procedural objects, in the order of `OBJECT_KINDS`; of any sum."""
+        """Relative frequencies of the kinds of procedural objects, in the order of `OBJECT_KINDS`; not normalized."""
         return tuple(getattr(self, name) for name in OBJECT_KINDS)
 
     @property

@@ -162,7 +162,10 @@ class GeneratedDataset(HandoverGenerator):
         return grasps if len(grasps) else None
 
     def compute_fingerprint(self, scene_id: int) -> str:
-        """Return version and configuration of the generator, which determine a scene, without the number of scenes."""
+        """Return a text that identifies the content of every scene: version and parameters of the generator.
+
+        The parameter `n` is left out, since a larger `n` does not change a scene. The text is the same for all scenes.
+        """
         return f"{GENERATED}-{VERSION}-{self.name.partition(',')[2]}"
 
 

@@ -130,9 +130,9 @@ class FluencyMetrics:
         robot_hand_impulse: Sum over all physics steps of the normal forces between robot and human
             hand, times 1 ms (N s); None if there is no contact.
         giver_jerk: Root mean square jerk of the person's wrist (m/s^3), until the release or the end;
-            None if the hand is present for less than 260 ms.
+            None if the hand is present for less than 240 ms.
         gripper_jerk: Root mean square jerk of the robot's hand link (m/s^3) in the whole episode; None
-            in episodes shorter than 260 ms.
+            in episodes shorter than 240 ms.
         gripper_path: Length (m) of the path of the robot's hand link.
         gripper_max_speed: Largest speed of the robot's hand link (m/s), averaged over 60 ms.
         gripper_mean_speed: Mean speed of the robot's hand link in the whole episode (m/s): path length

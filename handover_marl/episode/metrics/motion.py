@@ -29,7 +29,7 @@ Flags = npt.NDArray[np.bool_]
 SAMPLE_STEPS = 20
 _SMOOTHING_SAMPLES = 3  # speeds are averaged over 60 ms
 _SHORTEST_PAUSE = 0.25  # s, shorter pauses do not divide an activity
-# The third derivative of polynomials of this degree, fitted to this many samples (260 ms), has half power at 6.3 Hz:
+# The third derivative of polynomials of this degree, fitted to this many samples (240 ms), has half power at 6.3 Hz:
 # it keeps reaching movements and suppresses noise.
 _JERK_DEGREE, _JERK_SAMPLES = 5, 13
 # Spectral arc length: highest frequency (Hz), share of the largest amplitude below which both ends of the spectrum are
@@ -232,9 +232,11 @@ def _compute_jerk_weights() -> Array:
 
 
 def compute_spectral_arc_length(speed: Array, rate: float) -> float | None:
-    """Compute the spectral arc length of a speed profile: at most 0, closer to 0 if smoother.
+    """Compute the spectral arc length (SPARC) of a speed profile, at most 0; values closer to 0 are smoother.
 
-    The value is minus the length of the normalised amplitude spectrum; None if all speeds are zero.
+    It is minus the arc length of the amplitude spectrum, with amplitude and frequency normalized to 1, up to 10 Hz and
+    between the first and last amplitude of at least 0.05 of the largest (Balasubramanian et al., 2015). None if all
+    speeds are zero.
 
     Args:
         speed: (n,) speeds at equal intervals.

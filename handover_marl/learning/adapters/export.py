@@ -43,7 +43,7 @@ def export_policy(
         origin: Description of the training, for human readers.
 
     Models of Stable-Baselines3 record agent, features, action scheme and control period. For a PyTorch
-    module they must be passed.
+    module the first three must be passed.
 
     Returns:
         Path of the file.

@@ -30,7 +30,7 @@ class MujocoDistanceQuery(DistanceQuery):
         return compute_bounding_spheres(urdf, read_tree(urdf))
 
     def measure(self, hand_urdf: Path, robot: list[float], hand: list[float], max_distance: float) -> float:
-        """Return the smallest distance (m), at most `max_distance`, of Panda and human hand at joint positions."""
+        """Return the smallest distance (m) of the surfaces of Panda and human hand, see `DistanceQuery.measure`."""
         if hand_urdf not in self._pairs:
             self._pairs[hand_urdf] = _RobotHandPair(self._panda_urdf, hand_urdf, self._config)
         return self._pairs[hand_urdf].measure(robot, hand, max_distance)
@@ -56,7 +56,7 @@ class _RobotHandPair:
         self._margins = model.geom_margin[self._pairs].sum(axis=1)
 
     def measure(self, robot: list[float], hand: list[float], max_distance: float) -> float:
-        """Return the smallest distance (m), at most `max_distance`, of Panda and human hand at joint positions."""
+        """Return the smallest distance (m) of the surfaces of Panda and human hand, see `DistanceQuery.measure`."""
         model, data = self._model, self._data
         poses = self._hand.compute_poses(np.array([hand]))
         data.qpos[:], data.mocap_pos[:], data.mocap_quat[:] = robot, poses[0][0], poses[1][0]

@@ -144,13 +144,13 @@ class WarpGroup:
             return self._views["xpos"][:count][:, bodies], self._views["xquat"][:count][:, bodies]
 
     def start_rollout(self, rows: AnyArray) -> WarpRollout:
-        """Copy worlds to the engine, and return a rollout of them.
+        """Copy worlds to the engine and return a rollout of them.
 
-        On a GPU the number of the engine's rows is a power of two, since each number needs a graph; further rows repeat
-        the worlds in their order, and their results are not used.
+        On a GPU the number of simulated worlds is rounded up to a power of two (at most the size of the group), because
+        a CUDA graph is captured for each number. The additional worlds are copies, whose results are discarded.
 
         Args:
-            rows: Numbers (r,) of worlds in this group.
+            rows: (r,) indices of worlds in this group.
         """
         count = n_rows = len(rows)
         if self._device.stream is not None:

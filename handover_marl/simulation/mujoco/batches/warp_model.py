@@ -236,9 +236,11 @@ class WarpModel:
         return number, True
 
     def select_scenes(self, numbers: AnyArray, released: AnyArray) -> None:
-        """Set the worlds in the first m rows of the model's arrays to the scenes `numbers` (m,).
+        """Write the model values of m scenes into rows 0 to m - 1 of the device arrays, one row for each world.
 
-        `released` (m,) says whether their target objects are released.
+        Args:
+            numbers: (m,) numbers of the scenes, as returned by `add_scene`.
+            released: (m,) whether the target object of each world is released.
         """
         for name, rows in self._rows.items():
             if name not in _RELEASED_FIELDS:
