@@ -130,7 +130,7 @@ play:
 	build/smoke/bin/python $(INSTALL) --quiet -c $(CONSTRAINTS) dist/*.whl
 	cd build/smoke && for physics in $$(bin/python -c \
 		"from handover_marl.simulation.engines import list_available_physics; print(*list_available_physics()[-2:])"); do \
-		bin/handover-marl benchmark --dataset synthetic --split val --scenes 9 --physics $$physics --fresh --out results | \
+		bin/handover-marl benchmark --dataset synthetic --split val --scenes 9 --physics $$physics --overwrite --out results | \
 			grep "Report: results/report.html" || exit 1; \
 	done
 

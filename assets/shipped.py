@@ -118,12 +118,15 @@ def find_bullet_data(feature: str, advice: str) -> Path:
     return Path(pybullet_data.getDataPath())
 
 
-def find_vision_weights(setup: str) -> Path:
-    """Return the path of the weights of the receiver `vision` for an official setup.
+def find_vision_weights(network: str, setup: str) -> Path:
+    """Return the path of the weights of a network of the receiver `vision`, trained on the train split of a setup.
 
-    `experiments/training/train_vision.py` trained them on its training split. Other setups have no such file.
+    Args:
+        network: "vision" for the grasp network, "segmentation" for the segmentation network; the scripts that train
+            them are `experiments/training/train_vision.py` and `train_segmentation.py`.
+        setup: Official setup; the file exists only if weights ship for it.
     """
-    return DATA_ROOT / f"vision_{setup}.npz"
+    return DATA_ROOT / f"{network}_{setup}.npz"
 
 
 def load_object_grasps(name: str) -> npt.NDArray[np.float64] | None:

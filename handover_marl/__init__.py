@@ -29,7 +29,7 @@ _NAMES = {
     "envs.constructors": ("env", "parallel_env"),
     "envs.custom_rewards": ("combine_rewards", "declare_terms"),
     "envs.handover_env": ("HandoverEnv",),
-    "envs.rewards": ("TermWeights",),
+    "envs.rewards": ("RewardWeights",),
     "envs.transition": ("Transition",),
     "envs.vector.vector_env": ("vector_env",),
     "envs.wrappers.encode": ("encode",),

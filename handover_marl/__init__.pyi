@@ -10,7 +10,7 @@ from handover_marl.envs.constructors import parallel_env as parallel_env
 from handover_marl.envs.custom_rewards import combine_rewards as combine_rewards
 from handover_marl.envs.custom_rewards import declare_terms as declare_terms
 from handover_marl.envs.handover_env import HandoverEnv as HandoverEnv
-from handover_marl.envs.rewards import TermWeights as TermWeights
+from handover_marl.envs.rewards import RewardWeights as RewardWeights
 from handover_marl.envs.transition import Transition as Transition
 from handover_marl.envs.vector.vector_env import vector_env as vector_env
 from handover_marl.envs.wrappers.control_agent import control_agent as control_agent

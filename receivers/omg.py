@@ -135,7 +135,7 @@ class OmgReceiver(PhasedReceiver):
 
     def _make_plan(self, observation: Observation) -> Plan | None:
         name = self.context.object_names[int(observation["object_classes"][0])]
-        grasps = load_hand_poses(self.context.grasps, name)
+        grasps = load_hand_poses(self.context.load_grasps, name)
         if grasps is None:
             _log.warning("%s: no grasps of %r are known; staying at the start pose", self.name, name)
             return None
@@ -157,7 +157,7 @@ class OmgReceiver(PhasedReceiver):
         """Return the objects of the scene as obstacles, given their poses (5, 7) in the robot's base frame."""
         present = np.flatnonzero(observation["object_mask"])
         names = [self.context.object_names[int(observation["object_classes"][number])] for number in present]
-        urdfs = [self.context.object_urdf(name) for name in names]
+        urdfs = [self.context.find_object_urdf(name) for name in names]
         return [
             Obstacle(load_object_sdf(urdf, OBJECT_PADDING), base_from_objects[number], OBJECT_PADDING)
             for number, urdf in zip(present, urdfs, strict=True)

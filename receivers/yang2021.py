@@ -139,10 +139,10 @@ class Yang2021Receiver(Receiver):
 
     def prepare(self, object_names: Sequence[str]) -> None:
         """Read the grasps of the first object, which is handed over."""
-        load_gripper_poses(self.context.grasps, object_names[0])
+        load_gripper_poses(self.context.load_grasps, object_names[0])
 
     def _load_grippers(self, object_class: int) -> tuple[Array] | None:
-        grippers = load_gripper_poses(self.context.grasps, self.context.object_names[object_class])
+        grippers = load_gripper_poses(self.context.load_grasps, self.context.object_names[object_class])
         return None if grippers is None else (grippers,)
 
     def reset(self, seed: int | None = None) -> None:

@@ -70,6 +70,8 @@ class Args(SetupArgs):
         latest_takeover: Largest time at which the expert takes over (s).
         change_weight: Weight of decisions in which the expert opens or closes the gripper, which are few; others have
             the weight 1.
+        closing_margin: Output above which the network in `policy.npz` closes the gripper. With 0, networks often close
+            too early, since few decisions with a large weight close it.
         width: Width of the two hidden layers of the network.
         epochs: Number of times that each training of the network goes through the decisions.
         batch_size: Number of decisions per gradient step.
@@ -95,6 +97,7 @@ class Args(SetupArgs):
     disturbed_share: float = 0.1
     latest_takeover: float = 6.0
     change_weight: float = 20.0
+    closing_margin: float = 0.6
     width: int = 512
     epochs: float = 26.0
     batch_size: int = 512
@@ -255,7 +258,7 @@ def collect_round(collectors: list[Collector], number: int, student: DenseNetwor
 def main(args: Args) -> Path:
     args = args.resolve_setup()
     dataset = args.open_dataset()
-    folder = open_run_folder(args.out, args, args.resume, dataset.name, ("rounds", "workers"))
+    folder = open_run_folder(args.out, args, args.resume, dataset.name, ("rounds", "closing_margin", "workers"))
     torch.set_num_threads(1)  # The networks are small, and the other cores simulate.
     collectors = [Collector(args) for _ in range(args.workers)]
     origin = describe_origin("train_receiver_dagger", args)
@@ -271,9 +274,10 @@ def main(args: Args) -> Path:
         if not policy.exists():
             write_policy(policy, spec, fit(join_samples(rounds), args))
         student = read_policy(policy, "receiver")[1]
-        write_policy(folder / POLICY, spec, student)
+        later = np.append(student.biases[-1][:-1], student.biases[-1][-1] - args.closing_margin)
+        write_policy(folder / POLICY, spec, replace(student, biases=(*student.biases[:-1], later)))
         label = f"{number + 1} rounds, giver {args.giver}"
-        print_validation(args, args.val_scenes, args.val_physics, args.giver, f"learned:{policy}", label)
+        print_validation(args, args.val_scenes, args.val_physics, args.giver, f"learned:{folder / POLICY}", label)
     return folder / POLICY
 
 

@@ -1,6 +1,6 @@
 """Train receivers or givers with partners of a population, with several seeds.
 
-    python experiments/training/train_with_population.py --data-dir DIR --ego receiver --method population
+    python experiments/training/train_with_population.py --data-dir DIR --agent receiver --method population
 
 | method | partners of the trained policy |
 |---|---|
@@ -38,7 +38,7 @@ class Args(SetupArgs):
     """Arguments of the training with a population.
 
     Attributes:
-        ego: Agent that learns.
+        agent: Agent that learns.
         method: Choice of the partners.
         seeds: Seeds of the trainings, below 1000; the pairs have the seeds from 1000 on.
         out: Folder of the policies.
@@ -49,7 +49,7 @@ class Args(SetupArgs):
         giver: Further arguments of `train_sb3.py`; this script sets agent, partner, out, seed, resume and the data.
     """
 
-    ego: Literal["receiver", "giver"] = "receiver"
+    agent: Literal["receiver", "giver"] = "receiver"
     method: Literal["best_response", "population", "fictitious_co_play", "history"] = "population"
     seeds: tuple[int, ...] = (0, 1, 2)
     out: Path = Path("runs/population")
@@ -72,7 +72,7 @@ class Args(SetupArgs):
     )
 
     def __post_init__(self) -> None:
-        if self.ego == "giver" and self.method == "history":
+        if self.agent == "giver" and self.method == "history":
             raise OptionError("method must be another one for a giver, got history; its features are for receivers")
         if self.partner and self.method != "best_response":
             raise OptionError(f"partner must be left out with method {self.method}, got {self.partner!r}")
@@ -124,7 +124,7 @@ def train_pairs(args: Args) -> Path:
     Raises:
         ResultsError: The pairs have other arguments, or a policy of a finished pair is missing.
     """
-    folder = args.open_folder("pairs", ("ego", "method", "seeds", "partner", "population"))
+    folder = args.open_folder("pairs", ("agent", "method", "seeds", "partner", "population"))
     partners: dict[str, list[Partner]] = {"giver": [], "receiver": []}
     for seed in range(_FIRST_PAIR_SEED, _FIRST_PAIR_SEED + args.pairs):
         for agent, partner in (("receiver", "replay"), ("giver", f"learned:{folder}/receiver_final_{seed}.npz")):
@@ -148,14 +148,14 @@ def main(args: Args) -> list[Path]:
         ResultsError: The folder holds policies of other arguments.
     """
     args = args.resolve_setup()
-    partner = args.partner or {"receiver": "replay", "giver": "yang2021"}[args.ego]
-    parse_policy("giver" if args.ego == "receiver" else "receiver", partner)
+    partner = args.partner or {"receiver": "replay", "giver": "yang2021"}[args.agent]
+    parse_policy("giver" if args.agent == "receiver" else "receiver", partner)
     load_population(args.population)  # before the run's folder is made
-    folder = args.open_folder(f"{args.ego}_{args.method}", ("seeds",))
+    folder = args.open_folder(f"{args.agent}_{args.method}", ("seeds",))
     if args.method != "best_response":
         population = train_pairs(args) if args.method == "fictitious_co_play" else args.population
         partner = f"population:population={population}"
-    return [train_policy(args, args.ego, partner, folder / f"{seed}.npz", seed) for seed in args.seeds]
+    return [train_policy(args, args.agent, partner, folder / f"{seed}.npz", seed) for seed in args.seeds]
 
 
 if __name__ == "__main__":

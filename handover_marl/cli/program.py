@@ -16,7 +16,7 @@ A policy may also be your own class (my_package.robots:MyReceiver) and take opti
 # In the order of the help text; `run_strangers_table` is the command `strangers-table`.
 _COMMANDS = (
     runs.run_benchmark,
-    runs.run_pair,
+    runs.run_evaluate_pair,
     runs.run_crossplay,
     runs.run_strangers,
     folders.run_strangers_table,

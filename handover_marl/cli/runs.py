@@ -45,7 +45,7 @@ def run_benchmark(
     print_tables(report, tables, _describe_path(config, "report.html"))
 
 
-def run_pair(
+def run_evaluate_pair(
     evaluation: PairArguments = _VAL_PAIR, execution: ExecutionArguments = _EXECUTION, tables: TableArguments = _TABLES
 ) -> None:
     """Evaluate a giver with a receiver on a split and print the table."""

@@ -29,7 +29,7 @@ class EnvConfig(SceneConfig):
         render_mode: None, "rgb_array" (needs no screen) or "human" (PyBullet's window).
         camera: Camera of the "rgb_array" images; default: `CameraConfig()`, which shows the scene from the side.
         rewards: Preset rewards "sparse", 1 for a completed handover, or "shaped", with potential-based
-            shaping and costs in addition; `TermWeights`, weights of reward terms; a function of a `Transition` that
+            shaping and costs in addition; `RewardWeights`, weights of reward terms; a function of a `Transition` that
             returns terms by agent; a combination (`combine_rewards`); or text `module:name` that names one of these.
         max_cycles: Control steps after which an episode is truncated; default: never.
         obs_mode: Observation mode of the receiver: parts joined by "+", such as "state" or "rgb+depth+pointcloud"; see

@@ -13,9 +13,9 @@ from handover_marl.envs.rewards import (
     REWARDS,
     ArrayTerms,
     RewardSource,
+    RewardWeights,
     StepData,
     TermNames,
-    TermWeights,
     WeightedRewardSource,
     is_finite_number,
 )
@@ -59,7 +59,7 @@ class CombinedRewards:
 
 
 #: Value of `rewards`: name, weights, function, combination, or text `module:name`.
-RewardLike: TypeAlias = str | TermWeights | CombinedRewards | CustomReward
+RewardLike: TypeAlias = str | RewardWeights | CombinedRewards | CustomReward
 
 
 def combine_rewards(*parts: RewardLike | tuple[float, RewardLike]) -> CombinedRewards:
@@ -85,7 +85,7 @@ def combine_rewards(*parts: RewardLike | tuple[float, RewardLike]) -> CombinedRe
 
 
 def resolve_rewards(rewards: Any) -> Any:
-    """Return the `TermWeights`, `CombinedRewards` or function of a transition that a value of `rewards` refers to.
+    """Return the `RewardWeights`, `CombinedRewards` or function of a transition that a value of `rewards` refers to.
 
     Raises:
         UnknownNameError: There is no reward of that name, or `module:name` cannot be imported.
@@ -96,10 +96,10 @@ def resolve_rewards(rewards: Any) -> Any:
     if isinstance(rewards, str):
         check_name("rewards", rewards, REWARDS)
         return REWARDS[rewards]
-    if not isinstance(rewards, (TermWeights, CombinedRewards)) and not callable(rewards):
+    if not isinstance(rewards, (RewardWeights, CombinedRewards)) and not callable(rewards):
         raise OptionError(
-            f"rewards must be one of {', '.join(REWARDS)}, TermWeights, a function of a transition or module:name, got "
-            f"{rewards!r}"
+            f"rewards must be one of {', '.join(REWARDS)}, RewardWeights, a function of a transition or module:name, "
+            f"got {rewards!r}"
         )
     return rewards
 
@@ -107,7 +107,7 @@ def resolve_rewards(rewards: Any) -> Any:
 def set_discount(rewards: RewardLike, discount: float) -> Any:
     """Return rewards with a learner's discount factor in the shaping terms of all parts; functions stay unchanged."""
     found = resolve_rewards(rewards)
-    if isinstance(found, TermWeights):
+    if isinstance(found, RewardWeights):
         return replace(found, gamma=discount)
     if isinstance(found, CombinedRewards):
         return CombinedRewards(tuple((weight, set_discount(part, discount)) for weight, part in found.parts))
@@ -132,7 +132,7 @@ def make_reward_source(
         return SummedRewardSource(
             [(weight, make_reward_source(part, goal, count, arrays)) for weight, part in found.parts]
         )
-    if isinstance(found, TermWeights):
+    if isinstance(found, RewardWeights):
         return WeightedRewardSource(found, goal, count, arrays)
     return CustomRewardSource(
         [found() if isinstance(found, type) else copy.deepcopy(found) for _ in range(count)], arrays

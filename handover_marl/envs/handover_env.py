@@ -74,7 +74,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         - `status`: bits of `handover_marl.EpisodeStatus`.
         - `steps`: physics steps since the start.
         - `release_step`: physics step in which the person released the object, or -1.
-        - `release`: reason of the release, an index into `handover_marl.episode.referee.RELEASE_REASONS`, or -1.
+        - `release_reason`: reason of the release, an index into `handover_marl.episode.referee.RELEASE_REASONS`, or -1.
         - `CAMERA_K`, `CAMERA_extrinsics`: matrices of `camera_info` for each camera in the receiver's observation, e.g.
           `wrist_K`; only the receiver's infos have them.
         - `reward/...`: weighted terms of the agent's last reward; 0 after `reset`.
@@ -362,7 +362,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
             "status": int(episode.status),
             "steps": episode.steps,
             "release_step": -1 if episode.release_step is None else episode.release_step,
-            "release": -1 if episode.release_reason is None else RELEASE_REASONS.index(episode.release_reason),
+            "release_reason": -1 if episode.release_reason is None else RELEASE_REASONS.index(episode.release_reason),
         }
         return {GIVER: dict(info), RECEIVER: info | {key: matrix.copy() for key, matrix in self.calibration.items()}}
 
@@ -383,7 +383,7 @@ def _make_step_data(transition: Transition) -> StepData:
 
     def read_state(needs_forces: bool) -> dict[str, npt.NDArray[Any]]:
         contacts = transition.contacts
-        forces = {"object_force": contacts.robot_object_force, "hand_force": contacts.robot_hand_force}
+        forces = {"robot_object_force": contacts.robot_object_force, "robot_hand_force": contacts.robot_hand_force}
         values = {"grasped": contacts.both_fingers_touch, **forces}
         return add_episode_axis({**transition.next_state, **{key: np.array(value) for key, value in values.items()}})
 

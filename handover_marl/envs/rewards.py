@@ -163,16 +163,16 @@ TERMS: dict[str, Callable[[Steps], AnyArray]] = {
     "discomfort": compute_discomfort,
     "waiting": lambda steps: steps.states[:, -2, _OFFERED] * steps.duration,
     "gripper_path": functools.partial(compute_path, _HAND_LINK),
-    "hand_path": functools.partial(compute_path, _WRIST),
+    "giver_path": functools.partial(compute_path, _WRIST),
     "gripper_jerk": functools.partial(compute_jerk, _HAND_LINK),
-    "hand_jerk": functools.partial(compute_jerk, _WRIST),
-    "object_force": lambda steps: steps.state["object_force"] * steps.duration,
-    "hand_force": lambda steps: steps.state["hand_force"] * steps.duration,
+    "giver_jerk": functools.partial(compute_jerk, _WRIST),
+    "robot_object_force": lambda steps: steps.state["robot_object_force"] * steps.duration,
+    "robot_hand_force": lambda steps: steps.state["robot_hand_force"] * steps.duration,
     "time": lambda steps: steps.duration,
     "clearance": compute_clearance,
 }
 # Terms that depend on the status alone, and on forces.
-_OUTCOMES, _FORCES = {"success", "contact", "drop"}, {"object_force", "hand_force"}
+_OUTCOMES, _FORCES = {"success", "contact", "drop"}, {"robot_object_force", "robot_hand_force"}
 
 
 def is_finite_number(value: object) -> bool:
@@ -181,7 +181,7 @@ def is_finite_number(value: object) -> bool:
 
 
 @dataclass(frozen=True)
-class TermWeights:
+class RewardWeights:
     """Weights of reward terms, a value that `rewards` and `combine_rewards` accept.
 
     Attributes:
@@ -202,20 +202,20 @@ class TermWeights:
         for agent in AGENTS:
             weights = getattr(self, agent)
             if not isinstance(weights, Mapping):
-                raise OptionError(f"{agent} of TermWeights must be a dict of weights by term, got {weights!r}")
+                raise OptionError(f"{agent} of RewardWeights must be a dict of weights by term, got {weights!r}")
             for name, weight in weights.items():
                 check_name("reward term", name, TERMS)
                 if not is_finite_number(weight):
                     raise OptionError(f"weight of term {name!r} of the {agent} must be a finite number, got {weight!r}")
         if not is_finite_number(self.gamma) or not 0.0 <= self.gamma <= 1.0:
-            raise OptionError(f"gamma of TermWeights must be a number from 0 to 1, got {self.gamma!r}")
+            raise OptionError(f"gamma of RewardWeights must be a number from 0 to 1, got {self.gamma!r}")
 
 
 #: Reward 1 to both agents in the step that completes the handover.
-SPARSE = TermWeights({"success": 1.0}, {"success": 1.0})
+SPARSE = RewardWeights({"success": 1.0}, {"success": 1.0})
 #: Shaping for the receiver and costs for the giver in addition. Success outweighs the potentials that are lost at the
 #: end of the episode.
-SHAPED = TermWeights(
+SHAPED = RewardWeights(
     {"success": 3.0, "distance": 0.5, "grasp": 0.5, "goal": 0.5, "contact": -0.5, "drop": -0.5},
     {"success": 1.0, "effort": -0.05, "discomfort": -0.02, "waiting": -0.02, "contact": -0.5, "drop": -0.5},
 )
@@ -229,8 +229,8 @@ class StepData:
     Attributes:
         status: Bits (r,) of `EpisodeStatus`.
         read_state: Function that takes whether forces are needed, and returns arrays (r, ...): the giver's observation,
-            `grasped` (r,), whether both fingers of the robot touch the object, and `object_force` and `hand_force`
-            (r,), the normal forces between robot and object, and between robot and human hand (N).
+            `grasped` (r,), whether both fingers of the robot touch the object, and `robot_object_force` and
+            `robot_hand_force` (r,), the normal forces between robot and object, and between robot and human hand (N).
         read_transitions: Function that returns the r transitions.
     """
 
@@ -261,7 +261,7 @@ class WeightedRewardSource(RewardSource):
         arrays: Creator of the arrays.
     """
 
-    def __init__(self, weights: TermWeights, goal: tuple[float, ...], count: int, arrays: ArrayFactory) -> None:
+    def __init__(self, weights: RewardWeights, goal: tuple[float, ...], count: int, arrays: ArrayFactory) -> None:
         self._weights: dict[str, Mapping[str, float]] = {agent: getattr(weights, agent) for agent in AGENTS}
         self._names = {name for own in self._weights.values() for name in own}
         self._needs_state, self._needs_forces = bool(self._names - _OUTCOMES), bool(self._names & _FORCES)

@@ -17,6 +17,7 @@ from handover_marl.episode.spaces import (
     DEPTH,
     FULL_POINTCLOUD,
     IMAGES,
+    POINT_MAP,
     POINTCLOUD,
     RGB,
     SCENE_POINTCLOUD,
@@ -85,6 +86,7 @@ def camera_observation_space(
     | full_pointcloud | wrist_hand_cloud | (50176, 3) float32 | all points of the human hand, in image order |
     | full_pointcloud | wrist_point_counts | (2,) float32 | number of pixels on object and hand |
     | full_pointcloud | robot_joint_position_exact | (9,) float64 | robot joints before rounding to float32 |
+    | point_map | wrist_point_map | (224, 224, 3) float32 | points of all pixels, link's frame, m |
 
     "scene_pointcloud" has the clouds of "pointcloud", too; "rgbd" is "rgb+depth". Clouds of more than
     1024 points are subsampled without replacement, shorter ones padded with zeros; full clouds are padded, too. A
@@ -117,6 +119,7 @@ def _make_spaces(obs_mode: str, camera: CameraConfig) -> dict[str, spaces.Space[
         DEPTH: spaces.Box(0.0, np.inf, (*shape, 1), np.float32),
         SEGMENTATION: spaces.Box(0, int(max(SegmentationLabel)), (*shape, 1), np.uint8),
         RGB: spaces.Box(0, 255, (*shape, 3), np.uint8),
+        POINT_MAP: spaces.Box(-np.inf, np.inf, (*shape, 3), np.float32),
     }
     return found | {f"{camera.name}_{name}": space for name, space in images.items() if name in parts}
 
@@ -160,7 +163,7 @@ class SensorConfig:
             rays in other physics.
         camera_model: Deprojection: "handoversim" repeats HandoverSim's shift by one pixel,
             "pinhole" is exact.
-        camera_noise: Noise of the images: None (no noise), "realsense" or a `CameraNoise`.
+        camera_noise: Noise of the images: None (no noise), a name of `CAMERA_NOISE_MODELS`, or a `CameraNoise`.
         cameras: Configurations of the cameras; `resolve_cameras` makes them of names.
         randomization: Random deviations of the cameras, drawn in each episode; None for none.
 
@@ -312,28 +315,33 @@ class CameraSensor:
             observation[f"{name}_segmentation"] = image.segmentation[..., None].copy()
         if RGB in parts:
             observation[f"{name}_rgb"] = np.array(image.rgb, dtype=np.uint8)
+        if POINT_MAP in parts:
+            points = self._compute_cloud(image, np.ones(image.depth.shape, dtype=np.bool_), world)
+            observation[f"{name}_point_map"] = points.reshape(*image.depth.shape, 3)
         return observation
 
     def _compute_clouds(self, image: CameraImage, world: World, count: int) -> list[Cloud]:
         """Compute the first `count` point clouds (n, 3) of `CLOUDS` in the frame of the camera's link (m)."""
+        return [self._compute_cloud(image, image.compute_mask(label), world) for _, label, _ in CLOUDS[:count]]
+
+    def _compute_cloud(self, image: CameraImage, mask: npt.NDArray[np.bool_], world: World) -> Cloud:
+        """Compute the points (n, 3) of the pixels in a mask (h, w) in the frame of the camera's link (m)."""
         link = self._camera.link
-        clouds = [
-            deproject(image.depth, image.compute_mask(label), self._config.camera_model, self._camera)
-            for _, label, _ in CLOUDS[:count]
-        ]
+        cloud = deproject(image.depth, mask, self._config.camera_model, self._camera)
         if not self.has_latency or self._scene is None or not link:
-            return clouds
+            return cloud
         # Robots know their joint positions at the time of an image.
         then, now = self._history[0][1].robot[:ARM_DOF], world.read_agent_joints().robot[:ARM_DOF]
         if np.array_equal(then, now):
-            return clouds
+            return cloud
         chain = ArmKinematics(read_tree(self._scene.assets.panda)).compute_chain_frames(
             np.array([then, now], dtype=np.float64)
         )
         number = MOUNT_LINKS.index(link)
         old_origin, origin = chain.origins[number].T
         old_rotation, rotation = np.moveaxis(chain.rotations[number], -1, 0)
-        return [((cloud @ old_rotation.T + old_origin - origin) @ rotation).astype(np.float32) for cloud in clouds]
+        moved: Cloud = ((cloud @ old_rotation.T + old_origin - origin) @ rotation).astype(np.float32)
+        return moved
 
     def _get_image(self, world: World, steps: int, content: _ImageContent) -> CameraImage:
         """Return the image after `steps` physics steps with at least the given content, rendered if not yet known."""
@@ -395,7 +403,7 @@ def _select_content(parts: frozenset[str]) -> _ImageContent:
     """Return the smallest content of an image that suffices for the parts of an observation mode."""
     if RGB in parts:
         return _ImageContent.COLORED
-    if parts & IMAGES:
+    if parts & {*IMAGES, POINT_MAP}:
         return _ImageContent.WHOLE
     return _ImageContent.OBJECTS if SCENE_POINTCLOUD in parts else _ImageContent.TARGETS
 

@@ -30,7 +30,7 @@ from handover_marl.geometry.model_files.meshes import check_collision_meshes
 from handover_marl.geometry.panda import PANDA
 from handover_marl.simulation.camera.noise import CameraNoise
 from handover_marl.simulation.camera.optics import HANDOVERSIM_MODEL
-from handover_marl.simulation.camera.randomization import CameraRandomization
+from handover_marl.simulation.camera.randomization import CALIBRATION_ERRORS, CameraRandomization
 from handover_marl.simulation.engines import check_physics, make_world
 from handover_marl.simulation.world import Contacts, RolloutWorld, World
 
@@ -53,10 +53,11 @@ class SceneConfig:
         renderer: Renderer of the cameras: bullet, rays, or auto (bullet in exact physics, else rays).
         camera_model: Projection of the cameras' point clouds: handoversim (shifted by one pixel, as in the
             original) or pinhole.
-        camera_noise: Noise and latency of the cameras: default none, realsense, or in Python a `CameraNoise`.
+        camera_noise: Noise and latency of the cameras: default none; realsense; imperfect, which includes errors of the
+            calibration; depth_noise, delay, hand_eye or intrinsics, its parts; or in Python a `CameraNoise`.
         cameras: Cameras of the observations, each a name (wrist, front, over_shoulder) or in Python a `CameraConfig`.
         camera_randomization: Random deviations of the cameras from their configuration, in Python a
-            `CameraRandomization`; default none.
+            `CameraRandomization`; default: none, or the errors of the calibration that belong to `camera_noise`.
         world_config: World and rules; published results exist only for the default.
     """
 
@@ -88,8 +89,11 @@ class SceneConfig:
         Raises:
             UnknownNameError, OptionError: Unknown camera model, noise or camera.
         """
+        randomization = self.camera_randomization
+        if randomization is None and isinstance(self.camera_noise, str):
+            randomization = CALIBRATION_ERRORS.get(self.camera_noise)
         cameras = resolve_cameras(self.cameras)
-        return SensorConfig(self.renderer, self.camera_model, self.camera_noise, cameras, self.camera_randomization)
+        return SensorConfig(self.renderer, self.camera_model, self.camera_noise, cameras, randomization)
 
 
 class Episode:

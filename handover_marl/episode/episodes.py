@@ -138,7 +138,7 @@ class Episodes:
             "status": referees.status[rows],
             "steps": referees.steps[rows],
             "release_step": referees.release_step[rows],
-            "release": referees.release_reason[rows],
+            "release_reason": referees.release_reason[rows],
         }
 
     def close(self) -> None:

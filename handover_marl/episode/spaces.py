@@ -13,8 +13,8 @@ from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
 #: camera's data (joint positions and velocities, pose of the hand link, time), so that a policy cannot use the true
 #: poses by accident.
 STATE, POINTCLOUD, SCENE_POINTCLOUD, FULL_POINTCLOUD = "state", "pointcloud", "scene_pointcloud", "full_pointcloud"
-DEPTH, SEGMENTATION, RGB, RGBD = "depth", "segmentation", "rgb", "rgbd"
-OBS_PARTS = (STATE, POINTCLOUD, SCENE_POINTCLOUD, FULL_POINTCLOUD, DEPTH, SEGMENTATION, RGB, RGBD)
+DEPTH, SEGMENTATION, RGB, RGBD, POINT_MAP = "depth", "segmentation", "rgb", "rgbd", "point_map"
+OBS_PARTS = (STATE, POINTCLOUD, SCENE_POINTCLOUD, FULL_POINTCLOUD, DEPTH, SEGMENTATION, RGB, RGBD, POINT_MAP)
 #: Parts that are images; "rgbd" stands for "rgb+depth", as in ManiSkill.
 IMAGES = frozenset((DEPTH, SEGMENTATION, RGB))
 _JOIN_PARTS = "join parts with '+', e.g. 'rgb+depth'"

@@ -185,7 +185,7 @@ def _prepare(
     folder = None
     if execution.folder is not None:
         text = format_config(metadata, config.world_config)
-        folder = ResultFolder(execution.folder, metadata, text, execution.fresh)
+        folder = ResultFolder(execution.folder, metadata, text, execution.overwrite)
     indices = {scene: index for index, scene in enumerate(split_ids)}
     tasks = [SceneTask(indices[scene], scene, dataset.compute_fingerprint(scene)) for scene in config.scenes or ()]
     return config, metadata, folder, tasks
@@ -247,5 +247,5 @@ def _check_same_outcome(stored: EpisodeResult | None, current: EpisodeResult) ->
         raise ResultsError(
             f"replaying scene {current.scene_id} gave another outcome ({before} before, {now} now): a policy is not "
             "deterministic, or the stored result was changed. The stored result is kept; delete all results with "
-            "fresh=True (--fresh)"
+            "overwrite=True (--overwrite)"
         )

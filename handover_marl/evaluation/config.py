@@ -88,7 +88,7 @@ class ExecutionConfig(PoolConfig):
         out: Folder for results and reports; an interrupted evaluation resumes there.
         progress: Show a progress bar on stderr.
         trust: Run code in policy files (learned:FILE), and import modules that policy files or a population name.
-        fresh: Delete the results in the output folder instead of resuming.
+        overwrite: Delete the results in the output folder instead of resuming.
         replays: Episodes with a 3D replay page: none, failed or all. Finished episodes without a page are simulated
             again, and must end with the same outcome.
         traces: Write the time series of each episode (positions, speeds, distance, forces) as CSV files.
@@ -101,12 +101,12 @@ class ExecutionConfig(PoolConfig):
     out: str | None = None
     progress: bool = True
     trust: bool = False
-    fresh: bool = False
+    overwrite: bool = False
     replays: Literal["none", "failed", "all"] = REPLAYS_NONE
     traces: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("progress", "trust", "fresh", "traces"):
+        for name in ("progress", "trust", "overwrite", "traces"):
             check_boolean(name, getattr(self, name))
         if self.out is not None:
             object.__setattr__(self, "out", str(check_path("out", self.out)))

@@ -203,13 +203,13 @@ class ResultFolder(EpisodeWriter):
         path: Path of the folder; created with its parents if missing.
         metadata: Identity of the evaluation.
         config: Content of its `config.yaml`; default: the content for an evaluation with the official world and rules.
-        fresh: Whether to delete the results of an earlier evaluation first.
+        overwrite: Whether to delete the results of an earlier evaluation first.
 
     Raises:
         ResultsError: The folder belongs to another evaluation, holds other files, or cannot be written.
     """
 
-    def __init__(self, path: Path, metadata: ResultMetadata, config: str = "", fresh: bool = False) -> None:
+    def __init__(self, path: Path, metadata: ResultMetadata, config: str = "", overwrite: bool = False) -> None:
         super().__init__(path)
         try:
             entries = [entry.name for entry in path.iterdir() if not entry.name.startswith(".")]
@@ -217,7 +217,7 @@ class ResultFolder(EpisodeWriter):
                 raise ResultsError(
                     f"{path} is not empty and has no {CONFIG_FILE}, so it is no result folder; choose another one"
                 )
-            if fresh and entries:
+            if overwrite and entries:
                 # Other programs use files of that name; their folders must not be cleared.
                 read_result_metadata(path)
                 reports = [path / name for name in (CONFIG_FILE, *REPORT_FILES)]
@@ -231,7 +231,7 @@ class ResultFolder(EpisodeWriter):
         if different:
             raise ResultsError(
                 f"{path} holds another evaluation ({'; '.join(different)}); choose another folder, or delete its "
-                "results with fresh=True (--fresh)"
+                "results with overwrite=True (--overwrite)"
             )
 
     def read(self, index: int, fingerprint: str) -> EpisodeResult | None:

@@ -10,7 +10,7 @@ from typing import Any
 from handover_marl.episode.loop import steps_from_hold_time
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, ArrayFactory, to_numpy
-from handover_marl.learning.adapters.function_policy import FunctionPolicy, LearnedPolicy
+from handover_marl.learning.adapters.function_policy import FunctionPolicy
 from handover_marl.learning.custom_encodings import CustomScheme
 from handover_marl.learning.features import list_features, make_array_features
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
@@ -98,8 +98,8 @@ def make_network_array_policy(
         The policy on arrays; None unless `policy` has a dense network, built-in features and a built-in action
         scheme. Other policies, e.g. with a PyTorch module, are evaluated episode by episode.
     """
-    # A subclass may act in another way, so it has no version on arrays.
-    if not isinstance(policy, FunctionPolicy) or type(policy) not in (LearnedPolicy, FunctionPolicy):
+    # A subclass may act in another way.
+    if not isinstance(policy, FunctionPolicy) or type(policy).act is not FunctionPolicy.act:
         return None
     is_own_features = policy.spec.features not in list_features(policy.scheme.agent)
     is_own_scheme = isinstance(policy.scheme.scheme, CustomScheme)

@@ -162,7 +162,7 @@ def compute_offer_scores(outputs: AnyArray) -> AnyArray:
 @functools.lru_cache(maxsize=1024)
 def _load_known_grasps(context: PolicyContext, object_class: int) -> tuple[Array, Array] | None:
     """Return poses (n, 7) of a class's known grasps and half turns in its frame, and their hold costs (n,), all 0."""
-    poses = load_hand_poses(context.grasps, context.object_names[object_class])
+    poses = load_hand_poses(context.load_grasps, context.object_names[object_class])
     if poses is None:
         return None
     poses = np.concatenate([poses, compose(poses, np.array(HALF_TURN))])

@@ -35,9 +35,9 @@ class PolicyContext:
 
     Attributes:
         panda_urdf: URDF file of the robot.
-        grasps: Function that returns the known grasps of an object by class name: (n, 4, 4) gripper
+        load_grasps: Function that returns the known grasps of an object by class name: (n, 4, 4) gripper
             poses in the object's frame (m), or None for an object without grasps.
-        object_urdf: Function that returns the URDF file of an object by class name.
+        find_object_urdf: Function that returns the URDF file of an object by class name.
         config: Simulated world, protocol and limits of the giver.
         setup: Official setup, "s0" to "s3", for policies with different weights for each setup; or a
             setup of other data.
@@ -48,8 +48,8 @@ class PolicyContext:
     """
 
     panda_urdf: Path
-    grasps: Callable[[str], npt.NDArray[np.float64] | None]
-    object_urdf: Callable[[str], Path]
+    load_grasps: Callable[[str], npt.NDArray[np.float64] | None]
+    find_object_urdf: Callable[[str], Path]
     config: WorldConfig = OFFICIAL_CONFIG
     setup: str = "s0"
     object_names: Mapping[int, str] = field(default_factory=lambda: dict(CLASS_NAMES), hash=False, repr=False)

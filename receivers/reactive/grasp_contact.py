@@ -68,7 +68,7 @@ def load_graspable_object(context: PolicyContext, object_name: str, config: Reac
     Raises:
         SimulationError: A model cannot be loaded.
     """
-    urdf, known = context.object_urdf(object_name), load_hand_poses(context.grasps, object_name)
+    urdf, known = context.find_object_urdf(object_name), load_hand_poses(context.load_grasps, object_name)
     if known is None:
         return _load_graspable_object(urdf, context.panda_urdf, None, config)
     if context.quick_validation and not has_validation_record(urdf, context.panda_urdf, known, config.preparation):
@@ -99,7 +99,7 @@ def load_obstacle(context: PolicyContext, object_name: str) -> Spheres:
     Raises:
         SimulationError: The model cannot be loaded.
     """
-    vertices, faces = read_collision_mesh(context.object_urdf(object_name))
+    vertices, faces = read_collision_mesh(context.find_object_urdf(object_name))
     return sample_surface_spheres(vertices, faces, _N_OBSTACLE_SPHERES, OBSTACLE_RADIUS)
 
 

@@ -19,8 +19,11 @@ from handover_marl.receivers.reactive.config import ReactiveConfig, apply_risk
 from handover_marl.receivers.reactive.controller import ControllerReceiver
 from handover_marl.receivers.vision.grasp_predictor import load_grasp_predictor
 from handover_marl.receivers.vision.grasp_tracker import GraspTracker
+from handover_marl.receivers.vision.mask_predictor import UNSEGMENTED, MaskPredictor, load_mask_predictor
 from handover_marl.receivers.vision.scene_estimate import PointCloudSceneEstimate
 
+#: Segmentation masks from the simulator, and from the network that ships.
+PERFECT, PREDICTED = "perfect", "predicted"
 _NEVER = 1e6  # s, longer than any episode
 
 
@@ -33,6 +36,8 @@ class VisionReceiver(ControllerReceiver):
         risk: Trade-off between success rate (0) and speed (1).
         weights: Weight file of a grasp network; default: the file that ships for the setup, or the file of s0 for
             setups of other data.
+        masks: Segmentation of object, hand and other objects: "perfect" from the simulator, "predicted" by the network
+            that ships, or a weight file of such a network.
 
     Raises:
         OptionError: `wait` or `risk` is out of range, or PyTorch is missing.
@@ -41,11 +46,16 @@ class VisionReceiver(ControllerReceiver):
     """
 
     name = "vision"
-    file_options = ("weights",)
+    file_options = ("weights", "masks")
     obs_mode = SCENE_POINTCLOUD
 
     def __init__(
-        self, context: PolicyContext, wait: float = 0.0, risk: float = 0.5, weights: str | None = None
+        self,
+        context: PolicyContext,
+        wait: float = 0.0,
+        risk: float = 0.5,
+        weights: str | None = None,
+        masks: str = PERFECT,
     ) -> None:
         super().__init__(context, wait, apply_risk(make_vision_reactive_config(), risk))
         require_modules("receiver 'vision'", "train", "torch")
@@ -54,8 +64,14 @@ class VisionReceiver(ControllerReceiver):
                 "weights of receiver 'vision' must name a file, got ''; leave it out for the shipped ones"
             )
         self._predictor, self._weights_hash = load_grasp_predictor(
-            _find_shipped_weights(context.setup) if weights is None else weights
+            _find_shipped_weights("vision", context.setup, "weights") if weights is None else weights
         )
+        self._predict_masks: MaskPredictor | None = None
+        if masks != PERFECT:
+            self.obs_mode = UNSEGMENTED
+            found = _find_shipped_weights("segmentation", context.setup, "masks") if masks == PREDICTED else masks
+            self._predict_masks, masks_hash = load_mask_predictor(found)
+            self._weights_hash += masks_hash
         self._label = self.name if weights is None else f"{self.name}@{self._weights_hash}"
         self._scene: PointCloudSceneEstimate | None = None
 
@@ -66,13 +82,13 @@ class VisionReceiver(ControllerReceiver):
 
     @property
     def weights_hash(self) -> str:
-        """Short hash of the grasp network's weights."""
+        """Short hash of the grasp network's weights, and of those of the segmentation network if there is one."""
         return self._weights_hash
 
     def reset(self, seed: int | None = None) -> None:
         """Start an episode; `seed` determines the random points that the network gets."""
         tracker = GraspTracker(self._predictor, seed)
-        self._scene = PointCloudSceneEstimate(self.arm, self.config, tracker)
+        self._scene = PointCloudSceneEstimate(self.arm, self.config, tracker, self._predict_masks)
         self.start_episode(self._scene)
 
     def act(self, observation: Observation) -> Action:
@@ -99,13 +115,14 @@ class VisionReceiver(ControllerReceiver):
         tracker.use_all = has_no_grasp and is_settled
 
 
-def _find_shipped_weights(setup: str) -> Path:
+def _find_shipped_weights(network: str, setup: str, option: str) -> Path:
+    """Return the path of the shipped weights of a network; an error names the option that takes a file."""
     # Setups of other data than the official ones have no weights of their own.
-    path = find_vision_weights(setup if setup in SETUPS else SETUPS[0])
+    path = find_vision_weights(network, setup if setup in SETUPS else SETUPS[0])
     if not path.is_file():
         raise OptionError(
-            f"no weights of receiver 'vision' ship for setup {setup!r}: train them "
-            f"(experiments/training/train_vision.py --setup {setup}) and give weights=FILE; weights "
+            f"no {network} weights of receiver 'vision' ship for setup {setup!r}: train them "
+            f"(experiments/training/train_{network}.py --setup {setup}) and give {option}=FILE; weights "
             "of another setup may have been trained on scenes of this setup's test split"
         )
     return path

@@ -12,6 +12,7 @@ from handover_marl.receivers.reactive.config import ReactiveConfig
 from handover_marl.receivers.reactive.grasp_contact import OBSTACLE_RADIUS
 from handover_marl.receivers.reactive.scene_estimate import SceneEstimate
 from handover_marl.receivers.vision.grasp_tracker import LOST_TIMEOUT, GraspTracker, VoxelMap
+from handover_marl.receivers.vision.mask_predictor import MaskPredictor, segment_clouds
 
 Array = npt.NDArray[np.float64]
 
@@ -65,12 +66,19 @@ class PointCloudSceneEstimate(SceneEstimate):
         arm: Kinematics of the arm.
         config: Configuration of grasp selection and motion.
         tracker: Tracker of object, hand and grasps.
+        predict_masks: Predictor of the segmentation masks; by default, observations have segmented point clouds.
     """
 
-    def __init__(self, arm: ArmInWorld, config: ReactiveConfig, tracker: GraspTracker) -> None:
+    def __init__(
+        self,
+        arm: ArmInWorld,
+        config: ReactiveConfig,
+        tracker: GraspTracker,
+        predict_masks: MaskPredictor | None = None,
+    ) -> None:
         self._person = PointCloudHandTracker()
         super().__init__(arm, config, self._person)
-        self.tracker = tracker
+        self.tracker, self._predict_masks = tracker, predict_masks
         self._last_fingers = np.zeros(2)
         self._closing_since, self._moved_at = -np.inf, np.inf
         self._search_timeout = SEARCH_TIMEOUT
@@ -79,6 +87,8 @@ class PointCloudSceneEstimate(SceneEstimate):
     def update(self, observation: Observation) -> None:
         """Update robot, object and person's hand from an observation."""
         self.update_robot(observation)
+        if self._predict_masks is not None:
+            observation = segment_clouds(observation, self.gripper_pose, self._predict_masks)
         counts = observation["wrist_point_counts"].astype(int)
         object_points, hand_points, others = (
             observation[f"wrist_{name}_points"][:count].astype(np.float64)

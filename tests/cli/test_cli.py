@@ -44,8 +44,8 @@ def test_benchmark_and_evaluate(
         (["benchmark", "--data-dir", "/nowhere"], "/nowhere does not exist"),
         (["benchmark", "--data-dir", __file__], "test_cli.py is a file, not a folder"),
         (["verify", "/nowhere", "--columns", "count"], "unknown column 'count'; valid: scene id, value"),
-        (["benchmark", "--receiver", "nobody"], "unknown receiver 'nobody'; valid: gaddpg, hold"),
-        (["pair", "--physics", "nuclear"], "unknown physics 'nuclear'; valid: exact"),
+        (["benchmark", "--receiver", "nobody"], "unknown receiver 'nobody'; valid: dagger, gaddpg"),
+        (["evaluate-pair", "--physics", "nuclear"], "unknown physics 'nuclear'; valid: exact"),
         (["report", "/nowhere"], "/nowhere does not exist"),
         (["benchmark", "--out", ""], "out must be a path, got '' (it is empty)"),
     ],
@@ -84,7 +84,7 @@ def test_pair_selects_split_and_scenes(
     fake_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shorten_episodes(monkeypatch, 100)
-    command = ["pair", "--giver", "hesitant", "--receiver", "hold", "--scenes", "9", "--physics", "fast"]
+    command = ["evaluate-pair", "--giver", "hesitant", "--receiver", "hold", "--scenes", "9", "--physics", "fast"]
     command += ["--data-dir", str(fake_data), "--out", str(tmp_path / "out"), "--workers", "1", "--no-progress"]
     assert main(command) == 0
     printed = capsys.readouterr()
@@ -94,7 +94,7 @@ def test_pair_selects_split_and_scenes(
     assert "1 of the 1 episodes come from an earlier run." in capsys.readouterr().out
     assert main([*command, "--seed", "1"]) == 2
     assert "another evaluation (seed '0' in the folder, '1' now)" in capsys.readouterr().err
-    assert main([*command, "--seed", "1", "--fresh"]) == 0
+    assert main([*command, "--seed", "1", "--overwrite"]) == 0
     assert "earlier run" not in capsys.readouterr().out
     assert main([*command, "--seed", "1", "--initial-joint-noise", "0.1"]) == 2
     assert "world 'official' in the folder, 'initial_joint_noise=0.1' now" in capsys.readouterr().err
@@ -104,7 +104,7 @@ def test_version_and_help(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--version"]) == 0
     assert capsys.readouterr().out.startswith("handover-marl ")
     with pytest.raises(SystemExit):
-        main(["pair", "--help"])
+        main(["evaluate-pair", "--help"])
     assert "--receiver" in capsys.readouterr().out
 
 

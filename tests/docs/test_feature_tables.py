@@ -260,6 +260,6 @@ def test_schemes_of_receivers_have_the_described_scales() -> None:
 
 
 def test_features_without_a_grasp_are_zeros() -> None:
-    without = replace(CONTEXT, grasps=lambda name: None)
+    without = replace(CONTEXT, load_grasps=lambda name: None)
     np.testing.assert_array_equal(make_features("receiver", "close", without)(OBSERVATION)[[*range(8), 11]], 0.0)
     np.testing.assert_array_equal(make_features("receiver", "grasp", without)(OBSERVATION)[-8:], 0.0)

@@ -184,6 +184,19 @@ def test_each_value_changes_its_data(name: str, value: float, changed: set[str])
     assert found == changed
 
 
+@pytest.mark.slow
+def test_names_of_noise_may_include_wrong_calibration() -> None:
+    wrong_pose = CameraRandomization(position=0.01, rotation=np.deg2rad(2.0))
+    assert_equal(observe(2, None, camera_noise="hand_eye"), observe(2, wrong_pose))
+    own = CameraRandomization(color=0.5)
+    assert_equal(observe(2, own, camera_noise="hand_eye"), observe(2, own))
+    delayed, plain = observe(2, None, camera_noise="delay"), observe(2, None)
+    assert_equal(
+        observe(2, None, camera_noise="intrinsics"), observe(2, CameraRandomization(focal=0.01, principal=2.24))
+    )
+    assert not np.array_equal(delayed["wrist_depth"], plain["wrist_depth"])
+
+
 def test_calibration_is_that_of_the_configuration() -> None:
     random, plain = (
         handover_marl.parallel_env(dataset="synthetic", physics="mujoco", camera_randomization=own, cameras=SMALL)

@@ -1,4 +1,4 @@
-"""Tests of environments in which a frozen partner acts, as in `pair`: at its own control period and seeds."""
+"""Tests of environments in which a fixed partner acts as in evaluations: at its own control period and seeds."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -153,7 +153,7 @@ def make_env(control_period: float = 0.1) -> HandoverEnv:
 
 
 def play_pair(agent: str, partner: Any, scene: int) -> tuple[Any, Observation]:
-    """Play an episode of a partner and an agent at rest as `pair` does; return outcome and last observation."""
+    """Play an episode of a partner and an agent at rest as in evaluations; return outcome and last observation."""
     base = make_env()
     config = base.config
     policy = parse_policy(agent, partner).make(base.dataset, config.world_config, config.setup)
@@ -168,7 +168,7 @@ def play_pair(agent: str, partner: Any, scene: int) -> tuple[Any, Observation]:
 
 
 def play_frozen(agent: str, partner: Any, scene: int, period: float) -> tuple[Any, Observation]:
-    """Play this episode in an environment with a frozen partner; the other agent overwrites its observations."""
+    """Play this episode in an environment with a fixed partner; the other agent overwrites its observations."""
     (live,) = {"giver", "receiver"} - {agent}
     env = handover_marl.control_agent(make_env(period), live, partner)
     observations, _ = env.reset(seed=SEED, options={"scene_id": scene})
@@ -232,7 +232,7 @@ def draw_hold_steps(rng: np.random.Generator) -> int:
 
 
 def list_decisions(seed: int, scene: int, steps: int) -> dict[int | None, list[int]]:
-    """Return the decisions of `Irregular` in the first episode of an environment, by its seed in `pair`."""
+    """Return the decisions of `Irregular` in the first episode of an environment, by its seed in `evaluate-pair`."""
     giver_seed = derive_giver_seed(int(seeding.np_random(seed)[0].integers(2**32)), scene)
     rng, asked = np.random.default_rng(giver_seed), [0]
     while asked[-1] < steps:

@@ -12,7 +12,7 @@ import handover_marl
 from handover_marl.config import PandaConfig
 from handover_marl.envs.custom_rewards import combine_rewards, declare_terms, resolve_rewards, set_discount
 from handover_marl.envs.handover_env import HandoverEnv
-from handover_marl.envs.rewards import SHAPED, SPARSE, TERMS, TermWeights
+from handover_marl.envs.rewards import SHAPED, SPARSE, TERMS, RewardWeights
 from handover_marl.envs.transition import Transition
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError, ResetNeededError, RewardError, UnknownNameError
@@ -211,7 +211,7 @@ def test_discounts_reach_the_shaping_terms() -> None:
 
 def test_shaped_rewards_in_a_combination_are_the_shaped_rewards(make: Make) -> None:
     plain = rollout(make("shaped"), 5)
-    combined = rollout(make(combine_rewards("shaped", (0.5, approach), TermWeights(giver={"time": -1.0}))), 5)
+    combined = rollout(make(combine_rewards("shaped", (0.5, approach), RewardWeights(giver={"time": -1.0}))), 5)
     own = rollout(make(approach), 5)
     for one, both, mine in zip(plain, combined, own, strict=True):
         expected = terms_of(one[-1], "receiver") | {"approach": 0.5 * terms_of(mine[-1], "receiver")["approach"]}
@@ -225,7 +225,7 @@ def test_shaped_rewards_in_a_combination_are_the_shaped_rewards(make: Make) -> N
 def test_vector_environments_have_the_rewards_of_single_ones(physics: str, make: Make) -> None:
     pytest.importorskip("mujoco", reason="needs MuJoCo")
     options: dict[str, Any] = {"physics": physics, "dataset": "synthetic", "max_cycles": 4}
-    weights = TermWeights(dict.fromkeys(TERMS, 0.5), dict.fromkeys(TERMS, -1.0))
+    weights = RewardWeights(dict.fromkeys(TERMS, 0.5), dict.fromkeys(TERMS, -1.0))
     options["rewards"] = combine_rewards(approach, Counter(), (0.5, weights))
     envs = handover_marl.vector_env(2, None, threads=1, **options)
     envs.reset(seed=5)

@@ -84,7 +84,7 @@ def test_observations_are_in_their_spaces_and_not_shared(fake_data: Path) -> Non
 def test_infos_and_timeout(fake_data: Path) -> None:
     env = make(fake_data, control_period=1.0)
     _, infos = env.reset(options={"scene_id": 9})
-    shared = {"scene_id": 9, "status": EpisodeStatus.RUNNING, "steps": 0, "release_step": -1, "release": -1}
+    shared = {"scene_id": 9, "status": EpisodeStatus.RUNNING, "steps": 0, "release_step": -1, "release_reason": -1}
     assert infos == dict.fromkeys(("giver", "receiver"), shared | {"reward/success": 0.0})
     while env.agents:
         _, rewards, ended, timed_out, infos = env.step(both(START))
@@ -227,9 +227,9 @@ def test_infos_are_the_same_numbers_all_along() -> None:
                 assert type(others[1][agent]) is float
                 assert others[1][agent] == pytest.approx(sum(terms))
     first, last = results[0][-1]["giver"], results[-1][-1]["giver"]
-    assert (first["status"], first["release"], first["release_step"]) == (EpisodeStatus.RUNNING, -1, -1)
+    assert (first["status"], first["release_reason"], first["release_step"]) == (EpisodeStatus.RUNNING, -1, -1)
     assert last["status"] & EpisodeStatus.OBJECT_DROP
-    assert RELEASE_REASONS[last["release"]] is ReleaseReason.VOLUNTARY
+    assert RELEASE_REASONS[last["release_reason"]] is ReleaseReason.VOLUNTARY
     assert last["release_step"] == 1300
     assert any(info[-1]["giver"]["reward/discomfort"] for info in results)
     assert results[-1][2:4] == ({"giver": True, "receiver": True}, {"giver": False, "receiver": False})

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handover_marl.config import OFFICIAL_CONFIG
-from handover_marl.envs.rewards import SHAPED, SPARSE, TERMS, StepData, TermWeights, WeightedRewardSource
+from handover_marl.envs.rewards import SHAPED, SPARSE, TERMS, RewardWeights, StepData, WeightedRewardSource
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError, UnknownNameError
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ONLY_ROW, ArrayFactory, is_tensor, to_numpy
@@ -46,8 +46,8 @@ def situation(
         "hand_present": np.array([[float(wrist is not None)]]),
         "hand_keypoints": np.tile(np.float32(wrist or (0.0, 0.0, 0.0)), (1, 16, 1)),
         "grasped": np.array([grasped]),
-        "object_force": np.array([forces[0]]),
-        "hand_force": np.array([forces[1]]),
+        "robot_object_force": np.array([forces[0]]),
+        "robot_hand_force": np.array([forces[1]]),
     }
 
 
@@ -64,7 +64,7 @@ situations = st.builds(
 class Rewards:
     """Weighted terms of one episode, as numbers; times of states count in steps of 0.1 s unless they are given."""
 
-    def __init__(self, weights: TermWeights, start: State, goal: tuple[float, ...] = GOAL) -> None:
+    def __init__(self, weights: RewardWeights, start: State, goal: tuple[float, ...] = GOAL) -> None:
         self._source, self._steps = WeightedRewardSource(weights, goal, 1, NUMPY_ARRAYS), 0
         self._source.start(ONLY_ROW, StepData(np.zeros(1, dtype=int), lambda _: start, list))
 
@@ -76,12 +76,12 @@ class Rewards:
         return {agent: {name: float(value[0]) for name, value in own.items()} for agent, own in found.items()}
 
 
-def terms(weights: TermWeights, before: State, now: State, status: EpisodeStatus = RUNNING) -> dict[str, Any]:
+def terms(weights: RewardWeights, before: State, now: State, status: EpisodeStatus = RUNNING) -> dict[str, Any]:
     return Rewards(weights, before).compute(now, status)
 
 
 def value(name: str, before: State, now: State, duration: float = 0.1) -> float:
-    return float(Rewards(TermWeights({name: 1.0}), before).compute(now, duration=duration)["receiver"][name])
+    return float(Rewards(RewardWeights({name: 1.0}), before).compute(now, duration=duration)["receiver"][name])
 
 
 def test_sparse_is_success_alone() -> None:
@@ -90,7 +90,7 @@ def test_sparse_is_success_alone() -> None:
         for found in terms(SPARSE, situation(), later, status).values():
             assert found == {"success": float(status is SUCCESS)}
     assert Rewards(SPARSE, {}).compute({}, SUCCESS) == {"receiver": {"success": 1.0}, "giver": {"success": 1.0}}
-    outcomes = TermWeights({"success": 2.0, "drop": -1.0}, {"contact": -3.0})
+    outcomes = RewardWeights({"success": 2.0, "drop": -1.0}, {"contact": -3.0})
     assert terms(outcomes, {}, {}, EpisodeStatus.OBJECT_DROP)["receiver"] == {"success": 0.0, "drop": -1.0}
     assert terms(outcomes, {}, {}, EpisodeStatus.HUMAN_CONTACT)["giver"] == {"contact": -3.0}
 
@@ -141,7 +141,7 @@ def test_paths_are_distances() -> None:
     first, second = (0.1, -0.4, 0.8), (-0.3, 0.2, 1.0)
     distance = float(np.linalg.norm(np.subtract(first, second)))
     assert value("gripper_path", situation(gripper=first), situation(gripper=second)) == pytest.approx(distance)
-    found = value("hand_path", situation(wrist=first), situation(wrist=second))
+    found = value("giver_path", situation(wrist=first), situation(wrist=second))
     assert found == pytest.approx(distance, abs=1e-6)
 
 
@@ -149,16 +149,16 @@ def test_hands_that_are_absent_have_no_terms() -> None:
     hands = (0.0, 0.0, 1.1), None
     for path in itertools.product(hands, repeat=5):
         if None in path[-2:]:
-            found = Rewards(TermWeights(dict.fromkeys(("hand_path", "hand_jerk"), 1.0)), situation(wrist=path[0]))
+            found = Rewards(RewardWeights(dict.fromkeys(("giver_path", "giver_jerk"), 1.0)), situation(wrist=path[0]))
             assert not any([found.compute(situation(wrist=wrist)) for wrist in path[1:]][-1]["receiver"].values())
     assert value("clearance", situation(), situation(wrist=None)) == 0.0
 
 
-@pytest.mark.parametrize(("name", "body"), [("gripper_jerk", "gripper"), ("hand_jerk", "wrist")])
+@pytest.mark.parametrize(("name", "body"), [("gripper_jerk", "gripper"), ("giver_jerk", "wrist")])
 def test_jerk_of_a_cubic_motion_is_constant(name: str, body: str) -> None:
     """The motion x = t^3 has a jerk of 6 m/s^3, which integrates to 0.6 m/s^2 in a step of 0.1 s."""
     states = [situation(**{body: (0.0, (0.1 * number) ** 3, 0.0)}) for number in range(8)]  # type: ignore[arg-type]
-    cubic = Rewards(TermWeights({name: 1.0}), states[0])
+    cubic = Rewards(RewardWeights({name: 1.0}), states[0])
     values = [cubic.compute(state)["receiver"][name] for state in states[1:-1]]
     assert values[:2] == [0.0, 0.0]
     np.testing.assert_allclose(values[2:], 0.6, rtol=1e-3)
@@ -168,8 +168,8 @@ def test_jerk_of_a_cubic_motion_is_constant(name: str, body: str) -> None:
 def test_time_and_forces_are_integrated() -> None:
     pressed = situation(forces=(20.0, 3.0))
     assert value("time", situation(), situation(), 0.037) == pytest.approx(0.037, abs=1e-12)
-    assert value("object_force", situation(), pressed) == pytest.approx(2.0)
-    assert value("hand_force", situation(), pressed, 0.2) == pytest.approx(0.6)
+    assert value("robot_object_force", situation(), pressed) == pytest.approx(2.0)
+    assert value("robot_hand_force", situation(), pressed, 0.2) == pytest.approx(0.6)
 
 
 def test_clearance_is_measured_from_the_gripper() -> None:
@@ -189,7 +189,7 @@ def draw_step_data(seed: int, arrays: ArrayFactory) -> StepData:
     rng, state = np.random.default_rng(seed), draw_observation(seed)
     state["time"][:] = 0.1 * seed
     state["hand_keypoints"] = state["gripper_pose"][:, None, :3] + rng.normal(0.0, 0.1, (COUNT, 16, 3))
-    state |= {name: rng.random(COUNT) for name in ("object_force", "hand_force")}
+    state |= {name: rng.random(COUNT) for name in ("robot_object_force", "robot_hand_force")}
     state["grasped"] = rng.random(COUNT) < 0.5
     status = rng.choice([0, 0, 0, 1, 2, 4, 6, 8, 10], COUNT)
     return StepData(
@@ -198,7 +198,7 @@ def draw_step_data(seed: int, arrays: ArrayFactory) -> StepData:
 
 
 def test_terms_of_tensors_equal_those_of_arrays() -> None:
-    weights = TermWeights(dict.fromkeys(TERMS, 1.0))
+    weights = RewardWeights(dict.fromkeys(TERMS, 1.0))
     with make_device_tensors() as tensors:
         results: list[dict[str, list[np.ndarray]]] = []
         for arrays in (NUMPY_ARRAYS, tensors):
@@ -228,10 +228,10 @@ def test_terms_of_tensors_equal_those_of_arrays() -> None:
         ({"receiver": {"speed": 1.0}}, UnknownNameError, "reward term 'speed'; valid: success, contact"),
         ({"giver": {"time": float("nan")}}, OptionError, "weight of term 'time' of the giver must be a finite number"),
         ({"giver": {"time": True}}, OptionError, "weight of term 'time' of the giver must be a finite number"),
-        ({"receiver": 3.0}, OptionError, "receiver of TermWeights must be a dict"),
-        ({"gamma": 1.5}, OptionError, "gamma of TermWeights must be a number from 0 to 1"),
+        ({"receiver": 3.0}, OptionError, "receiver of RewardWeights must be a dict"),
+        ({"gamma": 1.5}, OptionError, "gamma of RewardWeights must be a number from 0 to 1"),
     ],
 )
 def test_wrong_weights_are_named(weights: dict[str, Any], error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
-        TermWeights(**weights)
+        RewardWeights(**weights)

@@ -70,7 +70,7 @@ def test_the_merged_folder_is_that_of_one_run(shards: list[Path], tmp_path: Path
 def test_a_whole_split(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """Commands merge the shards of a whole split, and refuse to do so while a result is missing."""
     shorten_episodes(monkeypatch, 20)
-    command = ["pair", "--setup", "s0", "--split", "val", "--dataset", "synthetic", "--physics", "fast"]
+    command = ["evaluate-pair", "--setup", "s0", "--split", "val", "--dataset", "synthetic", "--physics", "fast"]
     command += ["--receiver", "hold", "--workers", "1", "--no-progress"]
     assert main([*command, "--out", str(tmp_path / "whole")]) == 0
     whole = capsys.readouterr().out.rpartition("\nReport: ")[0]
@@ -104,9 +104,9 @@ def test_folders_that_do_not_fit_are_refused(shards: list[Path], tmp_path: Path)
         ({"scenes": [9, 14, 19]}, "different evaluations: shard '3 of 9,14,19,24' in .*, '3 of 9,14,19' in"),
         ({"shard": "2/2"}, "different evaluations: shard '3 of .*, '2 of"),
     ):
-        run(other, **{"shard": "2/3", "fresh": other.exists(), **change})
+        run(other, **{"shard": "2/3", "overwrite": other.exists(), **change})
         check(reported, shards[0], other, shards[2])
-    run(other, fresh=True)
+    run(other, overwrite=True)
     check("is not a shard: it was evaluated without --shard", other)
     check("is one of the shards", *shards, out=shards[0])
     check("holds another evaluation", *shards, out=shutil.copytree(shards[1], tmp_path / "used"))

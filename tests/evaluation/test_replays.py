@@ -42,7 +42,7 @@ def test_failed_episodes_of_a_finished_run_are_simulated_again_once(
     assert run(fake_data, tmp_path, replays="failed").n_resumed == 2
     assert played == [9, 14, 9, 14, 9]
     # A fresh run deletes the replays.
-    run(fake_data, tmp_path, scenes=[9], fresh=True)
+    run(fake_data, tmp_path, scenes=[9], overwrite=True)
     assert replays(tmp_path) == []
 
 

@@ -101,7 +101,7 @@ def test_results_in_the_wrong_place_are_refused(folder: ResultFolder) -> None:
 def test_a_folder_belongs_to_its_first_evaluation(folder: ResultFolder, monkeypatch: pytest.MonkeyPatch) -> None:
     """Another evaluation is refused, also if the first one writes its configuration to the folder just before."""
     for other in OTHERS:
-        with pytest.raises(ResultsError, match=r"holds another evaluation .*fresh=True"):
+        with pytest.raises(ResultsError, match=r"holds another evaluation .*overwrite=True"):
             ResultFolder(folder.path, other)
     assert ResultFolder(folder.path, SETTINGS).read(0, "abc")
     sync, new = os.fsync, folder.path / "new"
@@ -126,7 +126,7 @@ def test_fresh_deletes_only_results(folder: ResultFolder) -> None:
     (path / "exact").mkdir()
     for name in others:
         (path / name).write_text("precious")
-    ResultFolder(path, OTHERS[0], fresh=True)
+    ResultFolder(path, OTHERS[0], overwrite=True)
     assert read_result_metadata(path) == OTHERS[0]
     found = [entry.relative_to(path).as_posix() for entry in path.rglob("*") if entry.is_file()]
     assert sorted(found) == sorted([*others, "config.yaml"])
@@ -140,9 +140,9 @@ def test_fresh_leaves_foreign_folders_unchanged(tmp_path: Path, content: str | N
         (tmp_path / "config.yaml").write_text(content)
     (tmp_path / "000.npz").write_text("precious")
     before = {path.name: path.read_text() for path in tmp_path.iterdir()}
-    for fresh in (False, True):
+    for overwrite in (False, True):
         with pytest.raises(ResultsError, match=r"config\.yaml"):
-            ResultFolder(tmp_path, SETTINGS, fresh=fresh)
+            ResultFolder(tmp_path, SETTINGS, overwrite=overwrite)
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == before
 
 

@@ -45,6 +45,7 @@ RECEIVERS = (
     "reactive",
     "gaddpg:wait=0.1",
     "vision",
+    "dagger",
     f"learned:{LEARNED}",
 )
 Motion = npt.NDArray[np.float32]

@@ -38,7 +38,7 @@ def test_selected_grasps_have_the_lowest_cost() -> None:
     for row in ROWS.tolist():
         one = {key: values.astype(float) for key, values in select(observation, row).items()}
         name = CONTEXT.object_names[int(one["object_classes"][0])]
-        assert exists[row] == (load_hand_poses(CONTEXT.grasps, name) is not None)
+        assert exists[row] == (load_hand_poses(CONTEXT.load_grasps, name) is not None)
         if not exists[row]:
             continue
         n_grasps += 1

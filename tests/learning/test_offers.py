@@ -91,7 +91,7 @@ def test_the_best_grasp_is_that_of_an_observation_of_the_offered_object(seed: in
     joints = transform_points(
         pose, inverse_transform_points(observation["object_poses"][0], observation["hand_keypoints"])
     )
-    known = load_hand_poses(CONTEXT.grasps, CONTEXT.object_names[int(observation["object_classes"][0])])
+    known = load_hand_poses(CONTEXT.load_grasps, CONTEXT.object_names[int(observation["object_classes"][0])])
     assert known is not None
     grasps = compose(pose, np.concatenate([known, compose(known, np.array(HALF_TURN))]))
     gripper = observation["gripper_pose"].astype(float)
@@ -152,7 +152,7 @@ def test_features_have_the_documented_number_and_end_with_the_offer() -> None:
 
 
 def test_objects_without_known_grasps_have_no_features() -> None:
-    features = OfferFeatures(replace(CONTEXT, grasps=lambda name: None))
+    features = OfferFeatures(replace(CONTEXT, load_grasps=lambda name: None))
     offers = draw_offers(np.random.default_rng(0), 2, 0.5)
     assert features(add_episode_axis(draw_observation(0)), offers) is None
 

@@ -57,7 +57,7 @@ class Hasty(HoldReceiver):
 def test_classes_and_names_get_the_context(policy: PolicyLike) -> None:
     made = parse_policy("giver", policy).make(DATA, WorldConfig(), "s2")
     assert made.context.setup == "s2"
-    assert made.context.object_urdf("025_mug").is_file()
+    assert made.context.find_object_urdf("025_mug").is_file()
 
 
 def test_givers_work_without_a_context() -> None:

@@ -73,7 +73,7 @@ def write_strangers_population(agent: str = "giver") -> Path:
 def write_results(giver: str = f"{MODULE}:OwnGiver") -> Path:
     """Write a result folder that names a giver."""
     options: Any = {"physics": "fast", "dataset": "synthetic", "progress": False, "workers": 1, "world_config": SHORT}
-    handover_marl.evaluate_pair("hurried", "hold", "s0", "val", scenes=[19], out="results", fresh=True, **options)
+    handover_marl.evaluate_pair("hurried", "hold", "s0", "val", scenes=[19], out="results", overwrite=True, **options)
     content = yaml.safe_load(Path("results/config.yaml").read_text())
     content["HANDOVER_MARL"]["giver"] = giver
     Path("results/config.yaml").write_text(yaml.safe_dump(content))

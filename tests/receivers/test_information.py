@@ -28,7 +28,7 @@ from tests.receivers.quick import short_planning  # noqa: F401
 pytestmark = pytest.mark.slow
 
 PAGE = REPOSITORY / "docs" / "reference" / "policies.md"
-RECEIVERS = ("yang2021", "omg", "omg_hand_aware", "reactive", "gaddpg", "vision")
+RECEIVERS = ("yang2021", "omg", "omg_hand_aware", "reactive", "gaddpg", "vision", "dagger")
 CLOUDS = ("object_points", "object_cloud", "hand_points", "hand_cloud", "other_points")
 #: Synthetic scene of s0 val with several objects, and the number of simulated steps, until each kind of information is
 #: used: `omg` reads its own joints in the retreat only, `reactive` the release before its own.
@@ -111,12 +111,12 @@ OBSERVATIONS: dict[str, Callable[[Observation], None]] = {
 
 def shift_grasps(context: PolicyContext, names: tuple[str, ...]) -> PolicyContext:
     def load(name: str) -> npt.NDArray[np.float64] | None:
-        known = context.grasps(name)
+        known = context.load_grasps(name)
         if known is None or name != names[0]:
             return known
         return known + np.array([[0.0, 0.0, 0.0, 0.01]] * 3 + [[0.0] * 4])
 
-    return replace(context, grasps=load)
+    return replace(context, load_grasps=load)
 
 
 def change_model(which: int) -> Callable[[PolicyContext, tuple[str, ...]], PolicyContext]:
@@ -126,9 +126,9 @@ def change_model(which: int) -> Callable[[PolicyContext, tuple[str, ...]], Polic
         def find(name: str) -> Path:
             is_changed = name == names[0] if which == 0 else name in names[1:]
             other = names[1] if which == 0 else next(each for each in names if each != name)
-            return context.object_urdf(other if is_changed else name)
+            return context.find_object_urdf(other if is_changed else name)
 
-        return replace(context, object_urdf=find)
+        return replace(context, find_object_urdf=find)
 
     return change
 

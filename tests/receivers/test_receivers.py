@@ -18,7 +18,8 @@ from handover_marl.receivers.yang2021 import Yang2021Receiver, YangPhase
 
 def test_unknown_names(fake_data: Path) -> None:
     known = (
-        "gaddpg, hold, learned, omg, omg_hand_aware, omg_unchecked_last, population, random, reactive, vision, yang2021"
+        "dagger, gaddpg, hold, learned, omg, omg_hand_aware, omg_unchecked_last, population, random, reactive, "
+        "vision, yang2021"
     )
     for name, advice in (("nobody", ""), ("yang2012", r"; did you mean 'yang2021'\?")):
         with pytest.raises(UnknownNameError, match=f"receiver '{name}'; valid: {known}{advice}$"):
@@ -60,7 +61,7 @@ def test_a_batch_with_an_object_without_grasps() -> None:
     episode.close()
     missing = data.object_names[int(state["object_classes"][0]) + 1]
     context = replace(
-        make_policy_context(data), grasps=lambda name: None if name == missing else data.load_grasps(name)
+        make_policy_context(data), load_grasps=lambda name: None if name == missing else data.load_grasps(name)
     )
     batch = ArrayPolicyBatch(Yang2021Receiver(context, wait=0.0).copy_for(3), 3, "receiver")
     found = {key: np.stack([values] * 3) for key, values in state.items()}

@@ -19,7 +19,7 @@ import numpy as np
 
 from handover_marl.config import HAND_DOF
 from handover_marl.datasets.dexycb.mano import N_BETAS
-from handover_marl.datasets.dexycb.rotations import MIN_KEYFRAMES, Float32, Float64
+from handover_marl.datasets.dexycb.mano_rotations import MIN_KEYFRAMES, Float32, Float64
 from handover_marl.datasets.official import check_scene_meta
 from handover_marl.errors import DataNotFoundError
 from handover_marl.execution.files import shorten_text

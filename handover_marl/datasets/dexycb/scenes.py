@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.config import HAND_DOF
 from handover_marl.datasets.dexycb.mano import ManoModel
-from handover_marl.datasets.dexycb.raw_files import SequenceFolder, read_betas, read_meta, read_sequence
-from handover_marl.datasets.dexycb.rotations import (
+from handover_marl.datasets.dexycb.mano_rotations import (
     Float32,
     Float64,
     KeyframeSpan,
@@ -23,6 +22,7 @@ from handover_marl.datasets.dexycb.rotations import (
     scipy_euler_from_rotations,
     transforms3d_euler_from_matrices,
 )
+from handover_marl.datasets.dexycb.raw_files import SequenceFolder, read_betas, read_meta, read_sequence
 from handover_marl.datasets.official import CACHE_FOLDER, MAX_MOTION_BYTES
 from handover_marl.errors import DataFormatError, DataNotFoundError, ResultsError
 from handover_marl.execution.files import has_content, write_arrays, write_atomically

@@ -10,7 +10,7 @@ from handover_marl.envs.arguments import RECEIVER
 from handover_marl.envs.config import EnvConfig
 from handover_marl.envs.custom_rewards import resolve_rewards
 from handover_marl.envs.handover_env import HandoverEnv
-from handover_marl.envs.rewards import TermWeights
+from handover_marl.envs.rewards import RewardWeights
 from handover_marl.envs.vector.array_envs import ArrayEnvs
 from handover_marl.envs.vector.batch import Envs
 from handover_marl.envs.vector.single_envs import SingleEnvs, WrapperFunction, apply_wrapper
@@ -136,7 +136,7 @@ class EnvFactory:
         scheme: Any = choices[RECEIVER][1] if RECEIVER in choices else ""
         renderer = resolve_renderer(config.renderer, config.physics)
         has_full_clouds = FULL_POINTCLOUD in parse_obs_mode(config.obs_mode)
-        has_terms = isinstance(resolve_rewards(config.rewards), TermWeights)
+        has_terms = isinstance(resolve_rewards(config.rewards), RewardWeights)
         is_own_scheme = not isinstance(scheme, str) or is_reference(scheme)
         return [
             *faults,

@@ -158,6 +158,6 @@ class RewardSums:
         }
         if needs_forces:
             contacts = [episodes.read_contacts(row) for row in rows.tolist()]
-            state["object_force"] = self._arrays.asarray([one.robot_object_force for one in contacts], "float64")
-            state["hand_force"] = self._arrays.asarray([one.robot_hand_force for one in contacts], "float64")
+            state["robot_object_force"] = self._arrays.asarray([one.robot_object_force for one in contacts], "float64")
+            state["robot_hand_force"] = self._arrays.asarray([one.robot_hand_force for one in contacts], "float64")
         return state

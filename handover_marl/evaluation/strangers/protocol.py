@@ -92,7 +92,7 @@ def strangers(
         scenes = dataset.list_scenes(dataset.resolve_setup(config.setup), config.split)
         config = replace(config, scenes=select_scenes_evenly(scenes, n_scenes))
     folder = execution.folder
-    if folder is not None and not execution.fresh and (folder / ENTRY_FILE).is_file():
+    if folder is not None and not execution.overwrite and (folder / ENTRY_FILE).is_file():
         entry = read_entry(folder)
         if (entry["population"], entry["partner_split"]) != (found.label, partners):
             raise OptionError(

@@ -1,6 +1,6 @@
 """Noise model of depth cameras: depth noise, missing edge pixels, low resolution, latency."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -38,8 +38,17 @@ class CameraNoise(CheckedConfig):
     pixel_stride: int = bounded(1, 1)
 
 
-#: Noise models by name.
-CAMERA_NOISE_MODELS = {"realsense": CameraNoise()}
+_EXACT = CameraNoise(depth_noise_std=0.0, edge_dropout=0.0, latency=0.0)
+#: Noise models by name: "realsense"; "imperfect", the imperfection gate; and its parts, each alone. Those with errors
+#: of the calibration are in `CALIBRATION_ERRORS`, too.
+CAMERA_NOISE_MODELS = {
+    "realsense": CameraNoise(),
+    "imperfect": CameraNoise(latency=0.06),
+    "depth_noise": CameraNoise(latency=0.0),
+    "delay": replace(_EXACT, latency=0.06),
+    "hand_eye": _EXACT,
+    "intrinsics": _EXACT,
+}
 
 
 def resolve_camera_noise(camera_noise: str | CameraNoise | None) -> CameraNoise | None:

@@ -1,5 +1,6 @@
 """Randomisation of cameras (domain randomisation): one draw for each camera and episode."""
 
+import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -68,6 +69,18 @@ class CameraRandomization(CheckedConfig):
                 base, depth_noise_std=base.depth_noise_std + float(std), latency=min(base.latency + float(latency), 1.0)
             )
         return CameraDraw(drawn, noise, gains if self.color or self.brightness else None)
+
+
+_HAND_EYE = CameraRandomization(position=0.01, rotation=math.radians(2.0))
+_INTRINSICS = CameraRandomization(focal=0.01, principal=2.24)
+#: Errors of the calibration that belong to a name of `CAMERA_NOISE_MODELS`: the camera's pose has errors of 1 cm and 2
+#: degrees (root mean square of a length of three uniform components), and focal length and principal point are wrong
+#: by at most 1 %, of the length and of the image's width.
+CALIBRATION_ERRORS = {
+    "imperfect": replace(_INTRINSICS, position=_HAND_EYE.position, rotation=_HAND_EYE.rotation),
+    "hand_eye": _HAND_EYE,
+    "intrinsics": _INTRINSICS,
+}
 
 
 class CameraDraw(NamedTuple):

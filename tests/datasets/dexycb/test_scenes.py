@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from handover_marl.datasets.dexycb.rotations import STRIDE, TagFrame
+from handover_marl.datasets.dexycb.mano_rotations import STRIDE, TagFrame
 from handover_marl.datasets.dexycb.scenes import (
     compute_finger_poses,
     compute_hand_trajectory,

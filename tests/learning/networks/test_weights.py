@@ -199,7 +199,10 @@ def test_others_are_refused(file: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("path", "setups"),
-    [(GADDPG_WEIGHTS, SETUPS), *((find_vision_weights(setup), (setup,)) for setup in SETUPS)],
+    [
+        (GADDPG_WEIGHTS, SETUPS),
+        *((find_vision_weights("vision", setup), (setup,)) for setup in SETUPS),
+    ],
     ids=["gaddpg", *SETUPS],
 )
 def test_shipped_weights_were_not_trained_on_test_scenes(path: Path, setups: tuple[str, ...]) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from handover_marl import receivers
+from handover_marl.learning.policy_files import read_policy
 from tests.helpers.short_episodes import shorten_episodes
 from tests.learning.training.scripts import script
 
@@ -40,6 +41,8 @@ def test_a_run_continues_and_writes_a_policy(
     receivers.make(f"learned:{path}")
     other = train.main(replace(args, rounds=2, workers=2, out=tmp_path / "b"))
     assert other.read_bytes() == path.read_bytes()
+    written, acting = (read_policy(file, "receiver")[1] for file in (path, path.parent / "policy_1.npz"))
+    np.testing.assert_allclose(acting.biases[-1] - written.biases[-1], [0.0] * 6 + [args.closing_margin], atol=1e-6)
     for number in range(2):
         with np.load(tmp_path / "a" / f"decisions_{number}.npz") as stored:
             assert stored["features"].shape[1] == 70

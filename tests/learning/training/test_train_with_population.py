@@ -74,7 +74,7 @@ def test_receivers(method: str, giver: str, features: str, train: ModuleType, ca
 def test_fictitious_co_play(train: ModuleType, calls: list[Any], tmp_path: Path) -> None:
     common = {"dataset": "synthetic", "method": "fictitious_co_play", "out": tmp_path, "pairs": 2, "seeds": (0,)}
     (receiver,) = train.main(train.Args(**common))
-    (giver,) = train.main(train.Args(**common, ego="giver"))
+    (giver,) = train.main(train.Args(**common, agent="giver"))
     policies = [parse_policy("receiver", calls[8].giver), parse_policy("giver", calls[8].giver)]
     assert receiver == tmp_path / "receiver_fictitious_co_play" / "0.npz"
     for policy in (policies[1], parse_policy("receiver", calls[9].partner)):

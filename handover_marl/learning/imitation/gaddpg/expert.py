@@ -145,7 +145,7 @@ class GraspExpert:
             return _NO_PLAN
         self._planner.set_start(scenario.joints)
         base_from_world = invert_pose(self._world_from_base)
-        sdf = load_object_sdf(self._context.object_urdf(scenario.object_name), OBJECT_PADDING)
+        sdf = load_object_sdf(self._context.find_object_urdf(scenario.object_name), OBJECT_PADDING)
         obstacle = Obstacle(sdf, compose(base_from_world, scenario.object_pose), OBJECT_PADDING)
         plan = self._planner.plan(compose(base_from_world, goals), [obstacle])
         if plan is None:

@@ -7,7 +7,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from handover_marl.datasets.dexycb.rotations import (
+from handover_marl.datasets.dexycb.mano_rotations import (
     KeyframeSpan,
     compute_norms,
     count_frames,

@@ -1,0 +1,34 @@
+"""Receiver whose network moves the gripper without a script."""
+
+from pathlib import Path
+
+import handover_marl.receivers
+from handover_marl.learning.adapters.function_policy import FunctionPolicy
+from handover_marl.learning.policy_files import read_policy
+from handover_marl.policies.policy import PolicyContext
+
+_SHIPPED = Path(handover_marl.receivers.__file__).parent / "policies" / "dagger.npz"
+
+
+class DaggerReceiver(FunctionPolicy):
+    """Receiver whose network moves the gripper, opens it and closes it at every decision.
+
+    The network was trained by DAgger (Ross, Gordon and Bagnell, AISTATS 2011) to act as a policy with a scripted
+    approach to the grasp, see `experiments/training/train_receiver_dagger.py`.
+
+    Args:
+        context: Robot, task and known grasps of the objects.
+        weights: Policy file; default: the one that ships.
+
+    Raises:
+        DataNotFoundError: The policy file does not exist.
+        DataFormatError: The policy file is damaged or for another agent.
+    """
+
+    name = "dagger"
+    file_options = ("weights",)
+
+    def __init__(self, context: PolicyContext, weights: str | None = None) -> None:
+        path = _SHIPPED if weights is None else Path(weights).expanduser()
+        spec, network, label = read_policy(path, "receiver")
+        super().__init__(context, network, spec, self.name, self.name, digest=label)
