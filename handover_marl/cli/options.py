@@ -8,6 +8,7 @@ import tyro
 from tyro.constructors import PrimitiveConstructorSpec
 
 from handover_marl.config import OFFICIAL_CONFIG, WorldConfig
+from handover_marl.episode.camera_observations import WRIST_ONLY
 from handover_marl.episode.loop import InferenceTime
 from handover_marl.errors import OptionError
 from handover_marl.evaluation.config import REPLAY, EvaluationConfig, ExecutionConfig
@@ -88,7 +89,7 @@ class PairArguments(EvaluationConfig):
     data_dir: DataDir = None
     camera_noise: Annotated[str | None, tyro.conf.arg(metavar="CAMERA")] = None
     world_config: _Hidden[WorldConfig] = OFFICIAL_CONFIG
-    cameras: _Hidden[Any] = ()
+    cameras: _Hidden[Any] = WRIST_ONLY
     camera_randomization: _Hidden[Any] = None
     giver: PolicyName = REPLAY
     receiver: PolicyName = "yang2021"

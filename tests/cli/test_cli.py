@@ -10,10 +10,12 @@ import pytest
 
 from handover_marl.cli import main
 from handover_marl.cli.folders import check_data_folder, check_installation
+from handover_marl.cli.options import PairArguments, ReceiverArguments, RenderArguments, SceneArguments
 from handover_marl.datasets.dexycb.assets import write_hand_assets
 from handover_marl.datasets.dexycb.mano import read_mano_model
 from handover_marl.datasets.official_files import FileOrigin, find_hand_origin
 from handover_marl.evaluation import episode_runner
+from handover_marl.evaluation.config import EvaluationConfig
 from handover_marl.execution.options import is_installed
 from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES, SUBJECTS
 from handover_marl.policies.registry import import_reference
@@ -22,7 +24,12 @@ from tests.evaluation.quick import write_results
 from tests.helpers.short_episodes import shorten_episodes
 
 
-def test_benchmark_and_evaluate(
+@pytest.mark.parametrize("arguments", [PairArguments, ReceiverArguments, SceneArguments, RenderArguments])
+def test_defaults_of_commands_are_those_of_the_configuration(arguments: type[PairArguments]) -> None:
+    assert arguments().make_config() == EvaluationConfig()
+
+
+def test_benchmark_and_report(
     fake_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shorten_episodes(monkeypatch, 100)

@@ -10,7 +10,7 @@ from handover_marl import givers, receivers
 from handover_marl.datasets import OfficialDataset
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
-from handover_marl.errors import OptionError, UnknownNameError
+from handover_marl.errors import DataNotFoundError, OptionError, UnknownNameError
 from handover_marl.policies.batch import ArrayPolicyBatch
 from handover_marl.policies.policy import make_policy_context
 from handover_marl.receivers.yang2021 import Yang2021Receiver, YangPhase
@@ -74,3 +74,17 @@ def test_a_batch_with_an_object_without_grasps() -> None:
     np.testing.assert_array_equal(actions[1, :7], state["robot_joint_position"][:7])
     np.testing.assert_array_equal(actions[0], actions[2])
     assert np.abs(actions[0, :7] - state["robot_joint_position"][:7]).max() > 0.1
+
+
+def test_the_shipped_network_acts_as_its_file() -> None:
+    data, episode = SyntheticDataset(), Episode("fast")
+    path = Path(receivers.__file__).parent / "policies" / "dagger.npz"
+    shipped, file = (receivers.make(f"dagger{options}", data) for options in ("", f":weights={path}"))
+    assert (shipped.label, shipped.weights_hash) == ("dagger", file.weights_hash)
+    episode.reset(data.load_scene(14))
+    for robot in (shipped, file):
+        robot.reset(0)
+    np.testing.assert_array_equal(shipped.act(episode.observe()), file.act(episode.observe()))
+    episode.close()
+    with pytest.raises(DataNotFoundError, match=r"none\.npz"):
+        receivers.make("dagger:weights=none.npz", data)

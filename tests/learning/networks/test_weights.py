@@ -201,9 +201,10 @@ def test_others_are_refused(file: Path, tmp_path: Path) -> None:
     ("path", "setups"),
     [
         (GADDPG_WEIGHTS, SETUPS),
+        (find_vision_weights("segmentation", "s0"), ("s0",)),
         *((find_vision_weights("vision", setup), (setup,)) for setup in SETUPS),
     ],
-    ids=["gaddpg", *SETUPS],
+    ids=["gaddpg", "segmentation", *SETUPS],
 )
 def test_shipped_weights_were_not_trained_on_test_scenes(path: Path, setups: tuple[str, ...]) -> None:
     """Trainings use the scenes that are in the train splits of all setups that the card of a file names.
@@ -215,7 +216,7 @@ def test_shipped_weights_were_not_trained_on_test_scenes(path: Path, setups: tup
         about = json.loads(str(content["about"]))
     command = about["made_by"]["made by"]
     assert path != GADDPG_WEIGHTS or about["settings"]["max_steps"] == 30
-    assert "/" not in re.sub(r"^experiments/\w+\.py", "", command)
+    assert "/" not in re.sub(r"^experiments/[\w/]+\.py", "", command)
     named = re.search(r"\bsetups?=(\([^)]*\)|'[^']*')", command)
     assert named is not None
     assert "dataset='dexycb'" in command
