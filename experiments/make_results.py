@@ -61,10 +61,11 @@ INPUTS = {
     "reactive": (f"{POSES_AND_HAND}, release; validated grasps", "s"),
     "gaddpg": ("points of the object", "^"),
     "vision": ("points of objects and hand", "^"),
+    "dagger": (f"{POSE}, hand, release; validated grasps", "s"),
 }
 MARKERS = {
     "o": "true poses of objects",
-    "s": "true poses of objects and hand\n(reactive: also the release)",
+    "s": "true poses of objects and hand\n(reactive, dagger: also the release)",
     "^": "point clouds",
 }
 #: Published methods that are compared with each receiver.
