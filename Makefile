@@ -117,7 +117,7 @@ smoke: $(VENV)/.tested-with
 	rm -rf dist
 	$(BIN)/python -m build
 	$(BIN)/python -m twine check --strict dist/*
-	test $$(cat dist/*.whl | wc -c) -lt 12000000
+	test $$(cat dist/*.whl | wc -c) -lt 14000000
 	! $(BIN)/python -m zipfile --list dist/*.whl | sed 1d | grep -v '^handover_marl'
 	mkdir -p build
 	sed -n '/^install_requires/,/^$$/{s/>=/==/;s/^    \([a-z]\)/\1/p}' setup.cfg > build/lowest.txt
