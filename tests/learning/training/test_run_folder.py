@@ -11,10 +11,7 @@ pytest.importorskip("torch", reason="needs the extra `train`")
 
 from handover_marl.datasets.splits import select_scenes_evenly
 from handover_marl.errors import OptionError, ResultsError, check_name
-from handover_marl.learning.training.run_folder import (
-    describe_origin,
-    open_run_folder,
-)
+from handover_marl.learning.training.run_folder import describe_origin, open_run_folder
 from handover_marl.learning.training.scene_arguments import (
     RlArgs,
     run_script,
