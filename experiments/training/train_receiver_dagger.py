@@ -274,8 +274,9 @@ def main(args: Args) -> Path:
         if not policy.exists():
             write_policy(policy, spec, fit(join_samples(rounds), args))
         student = read_policy(policy, "receiver")[1]
-        later = np.append(student.biases[-1][:-1], student.biases[-1][-1] - args.closing_margin)
-        write_policy(folder / POLICY, spec, replace(student, biases=(*student.biases[:-1], later)))
+        *others, biases = student.biases
+        biases = np.append(biases[:-1], biases[-1] - args.closing_margin)
+        write_policy(folder / POLICY, spec, replace(student, biases=(*others, biases)))
         label = f"{number + 1} rounds, giver {args.giver}"
         print_validation(args, args.val_scenes, args.val_physics, args.giver, f"learned:{folder / POLICY}", label)
     return folder / POLICY

@@ -6,11 +6,10 @@ The script needs the extras `train` and `vision`.
 
 The script renders randomised images of a training split, trains the network to segment object, person's hand and other
 objects, and prints its intersection over union on held-out scenes of the split, every tenth. The folder gets the images
-and `segmentation.npz` (`--receiver vision:masks=runs/segmentation/segmentation.npz`). In scenes with one object, as
-those of DexYCB are by default, nothing shows what other objects look like; add `--extra-datasets synthetic`.
+and `segmentation.npz` (`--receiver vision:masks=runs/segmentation/segmentation.npz`). A network that was trained on
+scenes with one object takes other objects for it.
 """
 
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +18,6 @@ import numpy as np
 import torch
 from rich.progress import track
 
-from handover_marl.datasets import open_dataset
 from handover_marl.learning.imitation.samples import generate_samples, join_samples
 from handover_marl.learning.imitation.vision.segmentation import (
     SegmentationBatches,
@@ -49,8 +47,6 @@ class Args(SetupArgs):
         seed: Seed of all random numbers.
         views: Number of rendered images per scene.
         stride: Use every n-th scene of the training split.
-        extra_datasets: Other data sets, whose training scenes (of their first setup) are used too; `data_dir` is not
-            theirs.
         updates: Number of gradient updates.
         batch_size: Number of sections of images per gradient update.
         workers: Number of worker processes that render; default: one per core.
@@ -63,7 +59,6 @@ class Args(SetupArgs):
     seed: int = 0
     views: int = 8
     stride: int = 1
-    extra_datasets: tuple[str, ...] = ()
     updates: int = 12_000
     batch_size: int = 16
     workers: int | None = None
@@ -71,16 +66,16 @@ class Args(SetupArgs):
     resume: bool = False
 
 
-def load_views(args: Args, dataset: str, scenes: Sequence[int]) -> SegmentationViews:
-    """Return the images of scenes of a data set; render those that are not in the folder of the run."""
-    folder = args.out / "views" / re.sub(r"\W+", "-", dataset)
-    data_dir = args.data_dir if dataset == args.dataset else None
-    config = GraspViewConfig(dataset, data_dir, args.robot, args.views, args.seed)
+def load_batches(args: Args, scenes: Sequence[int]) -> SegmentationBatches:
+    """Return batches of the images of scenes; render images that are not in the folder of the run."""
+    config = GraspViewConfig(args.dataset, args.data_dir, args.robot, args.views, args.seed)
 
     def make_renderer() -> Callable[[int], SegmentationViews]:
         return SegmentationRenderer(config).render_scene
 
-    return join_samples(generate_samples(SegmentationViews, folder, scenes, make_renderer, "rendering", args.workers))
+    folder = args.out / "views"
+    views = generate_samples(SegmentationViews, folder, scenes, make_renderer, "rendering", args.workers)
+    return SegmentationBatches(join_samples(views))
 
 
 def main(args: Args) -> Path:
@@ -89,12 +84,8 @@ def main(args: Args) -> Path:
     data = args.open_dataset(args.robot)
     folder = open_run_folder(args.out, args, args.resume, data.name, ("workers", "device", "updates", "batch_size"))
     scenes = data.list_scenes(args.setup, "train")[:: args.stride]
-    training = {args.dataset: select_training_scenes(scenes)}
-    for name in args.extra_datasets:
-        extra = open_dataset(name, robot=args.robot)
-        training[name] = extra.list_scenes(extra.resolve_setup(None), "train")[:: args.stride]
-    batches = SegmentationBatches(join_samples([load_views(args, *each) for each in training.items()]))
-    held_out = SegmentationBatches(load_views(args, args.dataset, select_held_out_scenes(scenes)))
+    batches = load_batches(args, select_training_scenes(scenes))
+    held_out = load_batches(args, select_held_out_scenes(scenes))
     torch.manual_seed(args.seed)
     torch.set_num_threads(1)
     learner = SegmentationLearner(SegmentationNetwork(), args.updates, torch.device(args.device))

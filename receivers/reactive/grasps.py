@@ -219,7 +219,7 @@ def get_validation_record(
 ) -> ValidationRecord:
     """Return the validation record (n, 4) of an object's known grasps and stable copies; see `ValidationRecord`.
 
-    Grasps without a stored record are validated in simulation, which takes a minute or two.
+    Grasps without a stored record are validated in simulation, which takes 20 to 90 s.
     Arguments and errors are the same as for `validate_grasps`.
     """
     path = get_validation_record_path(object_urdf, panda_urdf, known, config)
@@ -236,7 +236,7 @@ def get_validation_record(
         cached = load_cached_arrays(path, ("record",), _DESCRIPTION)
         if cached is not None:
             return cached["record"]
-        _log.warning("validating the grasps of %s, once; this takes a minute or two", name)
+        _log.warning("validating the grasps of %s, once; this takes 20 to 90 s", name)
         record = _simulate_grasps(object_urdf, panda_urdf, known, config)
         save_cached_arrays(path, {"record": record}, _DESCRIPTION)
         return record

@@ -39,7 +39,7 @@ MaskPredictor = Callable[[npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any]],
 
 
 def load_mask_predictor(weights: str | Path) -> tuple[MaskPredictor, str]:
-    """Load the predictor of segmentation masks in a weight file; return it with a short hash of its weights.
+    """Load a segmentation network; return a function that predicts masks, and a short hash of the weights.
 
     Raises:
         DataNotFoundError, DataFormatError: The file does not exist, is damaged or holds another network.

@@ -39,7 +39,7 @@ class CameraNoise(CheckedConfig):
 
 
 _EXACT = CameraNoise(depth_noise_std=0.0, edge_dropout=0.0, latency=0.0)
-#: Noise models by name: "realsense"; "imperfect", the imperfection gate; and its parts, each alone. Those with errors
+#: Noise models by name: "realsense"; "imperfect", all imperfections; and its parts, each alone. Those with errors
 #: of the calibration are in `CALIBRATION_ERRORS`, too.
 CAMERA_NOISE_MODELS = {
     "realsense": CameraNoise(),

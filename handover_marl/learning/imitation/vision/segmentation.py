@@ -13,18 +13,12 @@ import torch.nn.functional as func
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from handover_marl.config import ARM_DOF
-from handover_marl.datasets import open_dataset
 from handover_marl.datasets.dataset import Scene
-from handover_marl.geometry.panda import OPEN, WAITING_JOINTS
+from handover_marl.geometry.panda import OPEN
 from handover_marl.learning.imitation.learner import ImitationLearner
 from handover_marl.learning.imitation.samples import stack_samples
-from handover_marl.learning.imitation.vision.views import GraspViewConfig, read_object_pose
+from handover_marl.learning.imitation.vision.views import RecordedViewRenderer, read_object_pose
 from handover_marl.learning.networks.segmentation_network import N_CLASSES, SegmentationNetwork
-from handover_marl.planning.arm_control import ArmInWorld
-from handover_marl.policies.policy import make_policy_context
-from handover_marl.receivers.reactive.controller import LIMIT_PADDING
-from handover_marl.receivers.reactive.selector import FALLBACK_IK_SEEDS, IK_SEEDS
 from handover_marl.receivers.vision.mask_predictor import CLASS_LABELS
 from handover_marl.simulation.camera.images import JointSnapshot, SegmentationLabel
 from handover_marl.simulation.camera.noise import CameraNoise, apply_camera_noise
@@ -35,7 +29,7 @@ from handover_marl.simulation.camera.ray_camera import RayCamera
 Array = npt.NDArray[np.float64]
 Rng = np.random.Generator
 
-# Deviations of the cameras, about twice those of the imperfection gate, and noise of every second image.
+# Deviations of the cameras, about twice those of the camera noise "imperfect", and noise of every second image.
 _RANDOMIZATION = CameraRandomization(
     color=0.3, brightness=0.3, position=0.02, rotation=0.07, focal=0.02, principal=4.0, depth_noise_std=0.004
 )
@@ -45,7 +39,6 @@ _LAST_FRAME_SHARE = 0.4
 # Standard deviations of arm joints at a waiting pose (rad), of the direction to the object, and of the rotation about
 # it (rad); distances of the hand link from the object (m); share of images that are taken at the end of a way.
 _JOINT_STD, _DIRECTION_STD, _ROLL_STD, _DISTANCES, _END_SHARE = 0.15, 0.35, 1.0, (0.08, 0.6), 0.3
-_IK_ITERATIONS = 12
 # Label of pixels without a depth, which have no class.
 _IGNORED = 255
 # Weights of the classes in the loss, since few pixels show object and hand.
@@ -71,21 +64,8 @@ class SegmentationViews(NamedTuple):
     classes: npt.NDArray[np.uint8]
 
 
-class SegmentationRenderer:
-    """Renderer of images of recorded scenes with their segmentation.
-
-    Args:
-        config: Data set, and number of images per scene.
-
-    Raises:
-        HandoverError: The dataset cannot be opened.
-    """
-
-    def __init__(self, config: GraspViewConfig) -> None:
-        self._config = config
-        self._data = open_dataset(config.dataset, config.data_dir, config.robot)
-        self._context = make_policy_context(self._data)
-        self._arm = ArmInWorld.for_panda(self._context.panda_urdf, self._context.panda, LIMIT_PADDING)
+class SegmentationRenderer(RecordedViewRenderer):
+    """Renderer of images of recorded scenes with their segmentation."""
 
     def render_scene(self, number: int) -> SegmentationViews:
         """Return random images of the scene with a number.
@@ -121,8 +101,7 @@ class SegmentationRenderer:
 
     def _sample_joints(self, point: Array, rng: Rng) -> Array:
         """Return random arm joints (7,) in rad on the way from a waiting pose to one that looks at a point (3,) (m)."""
-        waiting = (WAITING_JOINTS, self._context.panda.start_joints)[rng.integers(2)]
-        start: Array = np.array(waiting[:ARM_DOF]) + rng.normal(0.0, _JOINT_STD, ARM_DOF)
+        start = self.draw_waiting_joints(_JOINT_STD, rng)
         ahead = point - np.array(self._context.panda.base_position) - [0.0, 0.0, 0.333]
         ahead = ahead / np.linalg.norm(ahead) + rng.normal(0.0, _DIRECTION_STD, 3)
         ahead /= np.linalg.norm(ahead)
@@ -132,13 +111,10 @@ class SegmentationRenderer:
         rotation = Rotation.from_matrix(axes) * Rotation.from_rotvec([0.0, 0.0, rng.normal(0.0, _ROLL_STD)])
         distance = rng.uniform(*_DISTANCES)
         position = point - distance * ahead + 0.15 * distance * rng.normal(size=3)
-        goal = np.concatenate([position, rotation.as_quat()])
-        seeds = np.concatenate([start[None], IK_SEEDS, FALLBACK_IK_SEEDS])
-        solutions, converged = self._arm.solve(np.tile(goal, (len(seeds), 1)), seeds, _IK_ITERATIONS)
-        if not converged.any():
+        goal = self.find_joints(np.concatenate([position, rotation.as_quat()]), start)
+        if goal is None:
             return start
-        way = solutions[int(np.argmax(converged))] - start
-        joints: Array = start + way * min(1.0, rng.random() / (1.0 - _END_SHARE))
+        joints: Array = start + (goal - start) * min(1.0, rng.random() / (1.0 - _END_SHARE))
         return joints
 
 

@@ -148,10 +148,8 @@ class LabelledFrame:
     quality: Array
 
 
-class ViewRenderer:
-    """Renderer of wrist-camera views of recorded scenes, labelled with good grasps.
-
-    Grasps are validated in simulation at first use.
+class RecordedViewRenderer:
+    """Base class of renderers of wrist-camera views of recorded scenes.
 
     Args:
         config: Data set, number of the views per scene, and costs of grasps.
@@ -165,6 +163,28 @@ class ViewRenderer:
         self._data = open_dataset(config.dataset, config.data_dir, config.robot)
         self._context = make_policy_context(self._data)
         self._arm = ArmInWorld.for_panda(self._context.panda_urdf, self._context.panda, LIMIT_PADDING)
+
+    def draw_waiting_joints(self, noise_std: float, rng: Rng) -> Array:
+        """Return random arm joints (7,) in rad near one of the two waiting poses."""
+        waiting = (WAITING_JOINTS, self._context.panda.start_joints)[rng.integers(2)]
+        joints: Array = np.array(waiting[:ARM_DOF]) + rng.normal(0.0, noise_std, ARM_DOF)
+        return joints
+
+    def find_joints(self, hand_pose: Array, start: Array) -> Array | None:
+        """Return arm joints (7,) in rad for a pose (7,) of the hand link in the world; None if none are found.
+
+        The quaternion is xyzw; `start` are the joints with which the search begins.
+        """
+        seeds = np.concatenate([start[None], IK_SEEDS, FALLBACK_IK_SEEDS])
+        solutions, converged = self._arm.solve(np.tile(hand_pose, (len(seeds), 1)), seeds, _IK_ITERATIONS)
+        return solutions[int(np.argmax(converged))] if converged.any() else None
+
+
+class ViewRenderer(RecordedViewRenderer):
+    """Renderer of wrist-camera views of recorded scenes, labelled with good grasps.
+
+    Grasps are validated in simulation at first use.
+    """
 
     def render_scene(self, number: int) -> GraspViews:
         """Return random views of the scene with a number; views with few object points are discarded.
@@ -273,17 +293,14 @@ class ViewRenderer:
     def _sample_joints(self, labelled: LabelledFrame, rng: Rng) -> Array:
         """Return random arm joints (7,) in rad from which to render a frame: waiting, at a grasp or between."""
         kind = rng.random()
-        waiting = (WAITING_JOINTS, self._context.panda.start_joints)[rng.integers(2)]
-        start = np.array(waiting[:ARM_DOF]) + rng.normal(0.0, _JOINT_NOISE_STD, ARM_DOF)
+        start = self.draw_waiting_joints(_JOINT_NOISE_STD, rng)
         good = labelled.quality > MIN_QUALITY
         if kind < _WAITING_POSE_SHARE or not good.any():
             return start
         goal = _sample_pose(labelled, int(rng.choice(np.flatnonzero(good))), rng)
-        seeds = np.concatenate([start[None], IK_SEEDS, FALLBACK_IK_SEEDS])
-        solutions, converged = self._arm.solve(np.tile(goal, (len(seeds), 1)), seeds, _IK_ITERATIONS)
-        if not converged.any():
+        joints = self.find_joints(goal, start)
+        if joints is None:
             return start
-        joints: Array = solutions[int(np.argmax(converged))]
         is_between = kind < _WAITING_POSE_SHARE + _BETWEEN_SHARE
         return start + rng.random() * (joints - start) if is_between else joints
 
