@@ -217,7 +217,7 @@ def test_infos_are_the_same_numbers_all_along() -> None:
     """
     results = to_the_end(parallel_env(**SYNTHETIC, rewards="shaped"), 1300)
     for agent in AGENTS:
-        keys = {"scene_id", "status", "steps", "release_step", "release"}
+        keys = {"scene_id", "status", "steps", "release_step", "release_reason"}
         keys |= {f"reward/{name}" for name in getattr(SHAPED, agent)}
         for *others, infos in results:
             assert infos[agent].keys() == keys
