@@ -162,7 +162,7 @@ class ObstacleCost:
         return self._joint_torques(frames, here, force)
 
     def _workspace_gradient(self, velocity: Array, acceleration: Array, costs: Floats, gradients: Floats) -> Array:
-        """Return the workspace gradients (3, l, w) of the costs of one moving point on each of l links, at w waypoints."""
+        """Return the workspace gradients (3, l, w) of the costs of one point on each of l links, at w waypoints."""
         squared = (velocity**2).sum(axis=0) + _EPSILON
 
         def project(vector: npt.NDArray[np.floating]) -> Array:

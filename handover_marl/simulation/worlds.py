@@ -1,4 +1,4 @@
-"""Worlds of one engine that are simulated together, with their state and motion as arrays."""
+"""Batch of worlds that one engine simulates together; arrays have one row for each world."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -13,9 +13,9 @@ from handover_marl.simulation.world import Contacts, JudgeFunction, RolloutWorld
 
 
 class Worlds(ABC):
-    """Interface of n worlds of one engine that are simulated together.
+    """Interface of a batch of n worlds that one engine simulates together.
 
-    The argument `rows` (r,) of methods has the indices of r of the worlds; other arrays have one row for each of them.
+    Methods apply to the r worlds whose indices are in their argument `rows` (r,); other arrays have r rows.
     """
 
     @abstractmethod
@@ -31,7 +31,7 @@ class Worlds(ABC):
         judge: JudgeFunction,
         rules: ProtocolConfig,
     ) -> AnyIntegers:
-        """Simulate r worlds for all steps of a reference motion, or to their ends.
+        """Simulate r worlds for all steps of a reference motion, or until their episodes end.
 
         Args:
             rows: Indices (r,) of worlds of running episodes.
@@ -49,7 +49,7 @@ class Worlds(ABC):
 
     @abstractmethod
     def release_targets(self, rows: AnyIndices) -> None:
-        """Release the target objects of the worlds `rows` (r,) from the human hands, from the next step on."""
+        """Release the target objects of the worlds `rows` (r,) from the human hands before the next step."""
 
     @abstractmethod
     def read_state(self, rows: AnyIndices) -> WorldState:
@@ -69,7 +69,7 @@ class Worlds(ABC):
 
 
 class HostWorlds(Worlds):
-    """Worlds on the processor, with NumPy arrays.
+    """Batch of worlds on the CPU, with NumPy arrays.
 
     Args:
         worlds: The worlds, all of one engine.
@@ -92,14 +92,14 @@ class HostWorlds(Worlds):
         judge: JudgeFunction,
         rules: ProtocolConfig,
     ) -> AnyIntegers:
-        """Simulate r worlds for all steps of `reference`, or to their ends; return the numbers (r,) of steps."""
+        """Simulate r worlds for all steps of `reference`, or until their episodes end; return step counts (r,)."""
         worlds = [self._worlds[row] for row in rows.tolist()]
         for number, row in enumerate(rows.tolist()):
             worlds[number].set_reference(reference.select(number, self._n_objects[row]))
         return type(worlds[0]).rollout(worlds, robot_targets.tolist(), reference.hand.shape[1], judge, rules)
 
     def release_targets(self, rows: Indices) -> None:
-        """Release the target objects of the worlds `rows` (r,) from the human hands, from the next step on."""
+        """Release the target objects of the worlds `rows` (r,) from the human hands before the next step."""
         for row in rows.tolist():
             self._worlds[row].release_target()
 

@@ -52,7 +52,7 @@ class _RobotHandPair:
         self._hand = HandKinematics(hand_urdf, built.hand_links)
         is_hand = model.body_mocapid[model.geom_bodyid] >= 0
         self._pairs = np.array([(a, b) for a in np.flatnonzero(~is_hand) for b in np.flatnonzero(is_hand)])
-        # Margins that Bullet's hulls have in each pair (m).
+        # Sum of the collision margins of both shapes of each pair (m).
         self._margins = model.geom_margin[self._pairs].sum(axis=1)
 
     def measure(self, robot: list[float], hand: list[float], max_distance: float) -> float:
