@@ -17,7 +17,7 @@ Array = npt.NDArray[np.float64]
 
 _WRIST, _INDEX, _LITTLE = 0, 1, 7
 _FINGERS = ((1, 2, 3), (4, 5, 6), (7, 8, 9), (10, 11, 12), (13, 14, 15))
-# Palm edges between neighbouring knuckles, and between the index finger's and the thumb's.
+# Palm edges between neighboring knuckles, and between the index finger's and the thumb's.
 _PALM_EDGES = ((1, 4), (4, 10), (10, 7), (1, 14))
 # Length of a fingertip with its pad relative to the bone before it (Buryanov and Kotiuk, 2010: 0.7 to 0.9).
 _TIP_RATIO = 0.9

@@ -52,7 +52,7 @@ ROBOT_BASE, TABLE = "robot", "table"
 _ALL_GROUPS, _NO_GROUP = CollisionGroup(sum(CollisionGroup)), CollisionGroup(0)
 # The friction of a contact is that of the geom with the higher priority.
 _SUPPORT_PRIORITY, _ROBOT_PRIORITY, _FINGER_PRIORITY = 1, 1, 2
-# Pairs of the Panda's links that stay more than 1 cm apart within the joint limits, besides neighbours.
+# Pairs of the Panda's links that stay more than 1 cm apart within the joint limits, besides neighbors.
 _NEVER_COLLIDING = (
     (ROBOT_BASE, "panda_link2"),
     ("panda_link1", "panda_link3"),
