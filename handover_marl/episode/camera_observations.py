@@ -387,7 +387,7 @@ class CameraSensor:
         return self._ray_camera.render_targets(snapshot, content == _ImageContent.OBJECTS, camera)
 
     def _subsample(self, cloud: Cloud, steps: int, stream: int) -> Cloud:
-        """Return `N_POINTS` points of a cloud (n, 3): a random subset in image order, or all of them and zeros."""
+        """Return `N_POINTS` points of a cloud (n, 3): a random subset in image order, or all points and zeros."""
         if len(cloud) > N_POINTS:
             chosen = self._make_rng(cloud, steps, stream).choice(len(cloud), N_POINTS, replace=False)
             return cloud[np.sort(chosen)]

@@ -233,8 +233,8 @@ class GiverMotion:
         """Return the recorded poses of the givers `rows` (r,) at the k preview times, counted from now.
 
         Returns:
-            (r, k, 7) poses of the wrists, zeros without a hand, and (r, k, 7) poses of the objects to be handed over:
-            xyz (m) and quaternion xyzw, float32.
+            (r, k, 7) poses of the wrists, zeros without a hand, and (r, k, 7) poses of the target objects: xyz (m)
+            and quaternion xyzw, float32.
         """
         frames = self.state.frame[rows][:, None] + self._ahead
         poses = self._recorded.read_poses(rows, self._arrays.xp.minimum(frames, self._last_frame[rows][:, None]))

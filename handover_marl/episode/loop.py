@@ -155,7 +155,7 @@ def call_policy(policy: EpisodePolicy, observation: Observation, step: int) -> t
 
 @contextlib.contextmanager
 def _name_policy(policy: EpisodePolicy, when: str, observation: Observation | None = None) -> Iterator[None]:
-    """Raise errors of a policy's code as `PolicyError` with its name and `when` it failed; keep library errors."""
+    """Convert errors of a policy's own code to a `PolicyError` with the policy's name and `when` it failed."""
     try:
         yield
     except HandoverError:

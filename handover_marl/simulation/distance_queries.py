@@ -20,13 +20,13 @@ class DistanceQuery(ABC):
 
     @abstractmethod
     def read_bounding_spheres(self, urdf: Path) -> dict[int, BoundingSphere]:
-        """Return a sphere around the collision shapes of each link that has some, by link number; -1 is the base."""
+        """Return the bounding spheres of all links with collision shapes, by link number; -1 is the base."""
 
     @abstractmethod
     def measure(self, hand_urdf: Path, robot: list[float], hand: list[float], max_distance: float) -> float:
         """Measure the smallest distance between the surfaces of robot and human hand (m).
 
-        The result is at most `max_distance`, and not above 0 if robot and hand overlap.
+        The result is at most `max_distance`; it is 0 or negative if robot and hand overlap.
 
         Args:
             hand_urdf: Model of the human hand.

@@ -20,7 +20,7 @@ class Worlds(ABC):
 
     @abstractmethod
     def reset(self, row: int, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
-        """Load a scene into world `row`; set hand and objects to the only row of `start`, the robot to nine joints."""
+        """Load a scene into world `row`; set hand and objects to `start` (of one row), the robot to `robot_joints`."""
 
     @abstractmethod
     def rollout(
@@ -61,7 +61,7 @@ class Worlds(ABC):
 
     @abstractmethod
     def read_contacts(self, row: int, released: bool) -> Contacts:
-        """Return the last step's contacts of world `row`; the target's with table and objects only if `released`."""
+        """Return the contacts of world `row` in its last step, as `World.read_contacts` does."""
 
     @abstractmethod
     def close(self) -> None:
@@ -80,7 +80,7 @@ class HostWorlds(Worlds):
         self._n_objects = [0] * len(worlds)
 
     def reset(self, row: int, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
-        """Load a scene into world `row`; set hand and objects to the only row of `start`, the robot to nine joints."""
+        """Load a scene into world `row`; set hand and objects to `start` (of one row), the robot to `robot_joints`."""
         self._worlds[row].reset(scene, start, robot_joints)
         self._n_objects[row] = start.objects.shape[1]
 
@@ -115,7 +115,7 @@ class HostWorlds(Worlds):
         )
 
     def read_contacts(self, row: int, released: bool) -> Contacts:
-        """Return the last step's contacts of world `row`; the target's with table and objects only if `released`."""
+        """Return the contacts of world `row` in its last step, as `World.read_contacts` does."""
         return self._worlds[row].read_contacts(released)
 
     def close(self) -> None:

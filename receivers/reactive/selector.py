@@ -198,7 +198,7 @@ class GraspSelector:
         return np.asarray(compose(invert_pose(self.compute_grasp_pose(goal, object_pose)), gripper_pose))
 
     def _add(self, grasps: ValidatedGrasps, pad_margins: Array, cost: float) -> None:
-        """Add candidates with pad margins (n,) in m and their half turns, which have an additional cost (s)."""
+        """Add grasps with pad margins (n,) in m, and their half turns, to the candidates, at an extra `cost` (s)."""
         costs = cost + compute_hold_costs(grasps, pad_margins, self._config)
         self.grasps = np.concatenate([self.grasps, grasps.poses, compose(grasps.poses, np.array(HALF_TURN))])
         self._hold_costs = np.concatenate([self._hold_costs, costs, costs])
@@ -264,7 +264,7 @@ class GraspSelector:
         return numbers
 
     def _compute_costs(self, rough: Array, world: Array, joints: Array, bodies: Spheres) -> tuple[Array, Array, Array]:
-        """Return costs (k,) in s of k grasps, without path costs, and arm joints (k, 7) at their standoffs and at them.
+        """Return costs (k,) in s of k grasps, without path costs, and arm joints (k, 7) at standoffs and at grasps.
 
         `rough` are the costs without inverse kinematics, and `world` (k, 7) the grasps. The arm is at `joints` (7,).
         """

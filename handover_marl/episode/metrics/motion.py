@@ -260,7 +260,7 @@ def compute_spectral_arc_length(speed: Array, rate: float) -> float | None:
 
 
 def find_activities(active: Flags, period: float) -> list[tuple[int, int]]:
-    """Return the indices of the first and last sample of each period of activity; pauses up to 0.25 s do not split it.
+    """Return first and last sample (indices) of each period of activity; pauses of up to 0.25 s do not end a period.
 
     Args:
         active: (n,) whether the agent is active at each sample.

@@ -34,7 +34,7 @@ _REST_TOLERANCE = 1e-7
 
 
 def read_bounding_spheres(urdf: Path) -> dict[int, BoundingSphere]:
-    """Return a sphere around the collision shapes of each link that has some, by link number; -1 is the base link.
+    """Return the bounding spheres of all links with collision shapes, by link number; -1 is the base.
 
     Raises:
         SimulationError: The model cannot be loaded.

@@ -74,7 +74,7 @@ class ExactWorld(BulletWorld):
         self._simulate()
 
     def read_contacts(self, released: bool) -> Contacts:
-        """Return the contacts of the last step; the target's with table and other objects only if it is `released`."""
+        """Return the contacts of the last step; those of the target with table or objects only if it is `released`."""
         hand = () if self._hand is None else (self._hand.id,)
         return self._read_contacts(hand, self._objects[0], {body.id for body in self._objects[1:]}, released)
 
@@ -187,7 +187,7 @@ class FastWorld(BulletWorld):
         self._simulate()
 
     def read_contacts(self, released: bool) -> Contacts:
-        """Return the contacts of the last step; the target's with table and other objects only if it is `released`."""
+        """Return the contacts of the last step; those of the target with table or objects only if it is `released`."""
         target, *others = (item.body for item in self._objects)
         hand, awake = self._loaded_hand.bodies, {other.id for other in others if other is not None}
         if target is None and not hand and not awake:

@@ -290,7 +290,7 @@ class RayCamera:
     def _pose_links(
         self, snapshot: JointSnapshot, camera: Pinhole, view: tuple[Float64Array, Float64Array]
     ) -> list[PosedLink]:
-        """Return all links with meshes, those of target and hand first, in the frame `view` of a camera."""
+        """Return all links with meshes, target and hand first, in the frame of a camera with the pose `view`."""
         bodies: list[PosedBody] = [(self._target, snapshot.objects[0])]
         bodies += [] if snapshot.hand is None else [(self._hand, snapshot.hand)]
         bodies += [(self._panda, snapshot.robot), *zip(self._others, snapshot.objects[1:], strict=True)]

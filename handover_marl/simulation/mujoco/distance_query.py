@@ -26,7 +26,7 @@ class MujocoDistanceQuery(DistanceQuery):
         self._pairs: dict[Path, _RobotHandPair] = {}
 
     def read_bounding_spheres(self, urdf: Path) -> dict[int, BoundingSphere]:
-        """Return a sphere around the collision shapes of each link that has some, by link number; -1 is the base."""
+        """Return the bounding spheres of all links with collision shapes, by link number; -1 is the base."""
         return compute_bounding_spheres(urdf, read_tree(urdf))
 
     def measure(self, hand_urdf: Path, robot: list[float], hand: list[float], max_distance: float) -> float:

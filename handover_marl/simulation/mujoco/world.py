@@ -270,7 +270,7 @@ class MujocoWorld(RolloutWorld):
         self._release_pending = True
 
     def read_contacts(self, released: bool) -> Contacts:
-        """Return the contacts of the last step; the target's with table and other objects only if it is `released`."""
+        """Return the contacts of the last step; those of the target with table or objects only if it is `released`."""
         if self.sleep is not None:
             return Contacts()
         data = self.data

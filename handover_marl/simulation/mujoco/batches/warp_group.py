@@ -226,7 +226,7 @@ class WarpGroup:
         return self._arrays.xp.all(self._sensors.find_touching_fingers(self.state["sensordata"][rows]), axis=-1)
 
     def read_contacts(self, row: int, released: bool) -> Contacts:
-        """Return the last step's contacts of world `row`; the target's with table and objects only if `released`."""
+        """Return the contacts of world `row` in its last step, as `World.read_contacts` does."""
         data, qpos = (to_numpy(self.state[name][row]).astype(np.float64) for name in ("sensordata", "qpos"))
         return self.scene.contact_sensors.compute_contacts(data, qpos, released)
 

@@ -127,7 +127,7 @@ class WarpWorlds(Worlds):
         self._n_objects = arrays.zeros(count, "int64")
 
     def reset(self, row: int, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
-        """Load a scene into world `row`; set hand and objects to the only row of `start`, the robot to nine joints.
+        """Load a scene into world `row`; set hand and objects to `start` (of one row), the robot to `robot_joints`.
 
         Raises:
             OptionError: MuJoCo Warp cannot simulate the scene with the others.
@@ -215,7 +215,7 @@ class WarpWorlds(Worlds):
         return grasped
 
     def read_contacts(self, row: int, released: bool) -> Contacts:
-        """Return the last step's contacts of world `row`; the target's with table and objects only if `released`."""
+        """Return the contacts of world `row` in its last step, as `World.read_contacts` does."""
         ((group, _),) = self._split(self._arrays.asarray([row]))
         return group.read_contacts(row, released)
 

@@ -113,7 +113,7 @@ def compute_box_inertia(link: UrdfLink, parts: Sequence[ConvexPart]) -> Array:
 
 
 def compute_bounding_spheres(urdf: Path, tree: KinematicTree) -> dict[int, BoundingSphere]:
-    """Compute a sphere around the collision shapes of each link that has some, by link number; -1 is the base.
+    """Compute the bounding spheres of all links with collision shapes, by link number; -1 is the base.
 
     Raises:
         SimulationError, DataFormatError: The model or one of its meshes cannot be read.
