@@ -1,4 +1,4 @@
-"""Cameras that the receiver observes: configuration, images and point clouds, observations."""
+"""Cameras of the receiver: their configuration, images and point clouds, and the observations made of them."""
 
 import hashlib
 from collections import deque
@@ -44,7 +44,7 @@ Cloud = npt.NDArray[np.float32]
 #: Points of a subsampled cloud in an observation.
 N_POINTS = 1024
 
-#: Clouds of an observation: end of the key, segmentation label, and random stream that subsamples the cloud in a step.
+#: Clouds of an observation: end of the key, segmentation label, and number of the random stream for subsampling.
 CLOUDS = (
     ("object_points", SegmentationLabel.TARGET, 0),
     ("hand_points", SegmentationLabel.HAND, 1),
@@ -56,7 +56,7 @@ _NOISE_STREAM = 2
 
 
 class _ImageContent(IntEnum):
-    """Content of a rendered image, from object and hand alone to all bodies in colour; each includes the previous."""
+    """Bodies in a rendered image: target object and hand; all objects and hand; all bodies; all with colours."""
 
     TARGETS = 0
     OBJECTS = 1
@@ -70,15 +70,16 @@ def camera_observation_space(
     """Return the spaces of the camera data that an observation mode includes, by key.
 
     The table is for the camera "wrist" with h x w = 224 x 224 and n = 50176 pixels; keys of another camera start with
-    its name. Points are in the frame of the camera's link, which is the Panda's hand link for "wrist", or in the world.
+    its name. Points are in the frame of the link that carries the camera, the Panda's hand link for "wrist"; points of
+    a camera without a link are in the world frame. The target object is the one that is handed over.
 
     | data | key | shape | meaning |
     |---|---|---|---|
-    | pointcloud | wrist_object_points | (1024, 3) float32 | points of the object to be given, link's frame, m |
+    | pointcloud | wrist_object_points | (1024, 3) float32 | points of the target object, link's frame, m |
     | pointcloud | wrist_hand_points | (1024, 3) float32 | points of the human hand, link's frame, m |
     | pointcloud | wrist_point_counts | (2,) float32 | number of pixels on object and hand |
     | scene_pointcloud | wrist_other_points | (1024, 3) float32 | points of the other objects, link's frame, m |
-    | scene_pointcloud | wrist_point_counts | (3,) float32 | number of pixels on object, hand and other objects |
+    | scene_pointcloud | wrist_point_counts | (3,) float32 | number of pixels on target, hand and other objects |
     | depth | wrist_depth | (224, 224, 1) float32 | depth along the viewing axis, m |
     | segmentation | wrist_segmentation | (224, 224, 1) uint8 | values of `SegmentationLabel` |
     | rgb | wrist_rgb | (224, 224, 3) uint8 | colours |
@@ -161,8 +162,7 @@ class SensorConfig:
     Attributes:
         renderer: "bullet" (PyBullet), "rays" (ray casting), or "auto": bullet in exact physics and
             rays in other physics.
-        camera_model: Deprojection: "handoversim" repeats HandoverSim's shift by one pixel,
-            "pinhole" is exact.
+        camera_model: Deprojection: "handoversim" repeats HandoverSim's shift by one pixel, "pinhole" is exact.
         camera_noise: Noise of the images: None (no noise), a name of `CAMERA_NOISE_MODELS`, or a `CameraNoise`.
         cameras: Configurations of the cameras; `resolve_cameras` makes them of names.
         randomization: Random deviations of the cameras, drawn in each episode; None for none.
@@ -192,9 +192,9 @@ class SensorConfig:
         return resolve_camera_noise(self.camera_noise)
 
     def describe(self, obs_mode: str, physics: str) -> str:
-        """Return a text on renderer (in this physics), camera model, noise and cameras for results.
+        """Return a text for results that names renderer (in this physics), camera model, noise and cameras.
 
-        It is "" without camera data, and does not mention the default camera.
+        The text is "" for a mode without camera data, and does not mention the default camera.
         """
         if not has_camera(obs_mode):
             return ""
@@ -209,7 +209,7 @@ BENCHMARK_SENSORS = SensorConfig()
 
 @dataclass(frozen=True, eq=False)
 class CameraCapture:
-    """Images, of h x w pixels, and point clouds of the wrist camera at one step.
+    """Images (h x w pixels) and point clouds of the wrist camera at one step.
 
     A camera with latency shows an earlier step; its points are in the hand link's current frame.
 
@@ -217,7 +217,7 @@ class CameraCapture:
         depth: (h, w) float32 depth along the viewing axis (m); just under 2 m for background.
         segmentation: (h, w) uint8 values of `SegmentationLabel`.
         rgb: (h, w, 3) uint8 colours.
-        object_points: (n, 3) float32 points of the object to be given in the hand link's frame (m), in image order.
+        object_points: (n, 3) float32 points of the target object in the hand link's frame (m), in image order.
         hand_points: (m, 3) float32 points of the human hand in the hand link's frame (m), in image order.
     """
 
@@ -229,7 +229,7 @@ class CameraCapture:
 
 
 class CameraSensor:
-    """Camera in the episodes of one world; an image is rendered on request and at most once a step.
+    """One camera of a simulated world; an image is rendered on request, at most once a step.
 
     Random draws depend on the seed, the number of simulated steps and the image only, not on earlier images.
 
@@ -274,7 +274,7 @@ class CameraSensor:
             self.record_snapshot(world, 0)
 
     def seed(self, seed: int) -> None:
-        """Set the seed of subsampling, noise and randomisation, which is 0 by default."""
+        """Set the seed of subsampling, noise and randomization, which is 0 by default."""
         self._seed = seed
         self._last = self._drawn = None
 
@@ -288,7 +288,7 @@ class CameraSensor:
             self._history.popleft()
 
     def capture(self, world: World, steps: int) -> CameraCapture:
-        """Return the images and point clouds of a world's episode that are available after `steps` physics steps."""
+        """Return the images and point clouds that are available after `steps` physics steps of a world's episode."""
         image = self._get_image(world, steps, _ImageContent.COLORED)
         rgb = np.array(image.rgb, dtype=np.uint8)
         return CameraCapture(image.depth.copy(), image.segmentation.copy(), rgb, *self._compute_clouds(image, world, 2))
@@ -344,7 +344,7 @@ class CameraSensor:
         return moved
 
     def _get_image(self, world: World, steps: int, content: _ImageContent) -> CameraImage:
-        """Return the image after `steps` physics steps with at least the given content, rendered if not yet known."""
+        """Return the image after `steps` physics steps with at least the given content; a rendered image is reused."""
         if self._last is not None and self._last[0] == steps and self._last[1] >= content:
             return self._last[2]
         camera, noise, _ = drawn = self._draw_camera()
@@ -387,7 +387,7 @@ class CameraSensor:
         return self._ray_camera.render_targets(snapshot, content == _ImageContent.OBJECTS, camera)
 
     def _subsample(self, cloud: Cloud, steps: int, stream: int) -> Cloud:
-        """Return `N_POINTS` points of a cloud (n, 3): a random subset in image order, or all of them and zeros."""
+        """Return `N_POINTS` points of a cloud (n, 3): a random subset in image order, or all points and zeros."""
         if len(cloud) > N_POINTS:
             chosen = self._make_rng(cloud, steps, stream).choice(len(cloud), N_POINTS, replace=False)
             return cloud[np.sort(chosen)]

@@ -49,15 +49,15 @@ class SceneConfig:
         data_dir: Data folder in HandoverSim's layout; default: the environment variable HANDOVER_MARL_DATA.
         physics: Physics: exact (official results), fast (hand and objects are simulated only while the robot is near
             them), or mujoco (another engine).
-        robot: Robot model: panda, or panda_camera with HandoverSim's depth camera on the gripper, which collides too.
+        robot: Robot model: panda, or panda_camera, with the housing of HandoverSim's wrist camera, which can collide.
         renderer: Renderer of the cameras: bullet, rays, or auto (bullet in exact physics, else rays).
         camera_model: Projection of the cameras' point clouds: handoversim (shifted by one pixel, as in the
             original) or pinhole.
-        camera_noise: Noise and latency of the cameras: default none; realsense; imperfect, which includes errors of the
-            calibration; depth_noise, delay, hand_eye or intrinsics, its parts; or in Python a `CameraNoise`.
+        camera_noise: Noise and latency of the cameras: realsense, or imperfect, which adds calibration errors, or one
+            part of imperfect (depth_noise, delay, hand_eye, intrinsics), or in Python a `CameraNoise`; default: none.
         cameras: Cameras of the observations, each a name (wrist, front, over_shoulder) or in Python a `CameraConfig`.
         camera_randomization: Random deviations of the cameras from their configuration, in Python a
-            `CameraRandomization`; default: none, or the errors of the calibration that belong to `camera_noise`.
+            `CameraRandomization`; default: the calibration errors that `camera_noise` names, or none.
         world_config: World and rules; published results exist only for the default.
     """
 
@@ -97,7 +97,7 @@ class SceneConfig:
 
 
 class Episode:
-    """Simulator of handover episodes, one after another; environments and evaluations are built on it.
+    """Simulation of one handover episode at a time; environments and evaluations are built on it.
 
     Args:
         physics: "exact" is HandoverSim's simulation bit for bit, "fast" simulates hand and objects only while the
@@ -162,8 +162,7 @@ class Episode:
         Args:
             robot_target: (9,) float32 target joint positions, 7 arm (rad) and 2 fingers (m).
             steps: Number of physics steps (1 ms).
-            giver_action: (8,) float32 deviation from the recording; default: replay the
-                recording.
+            giver_action: (8,) float32 deviation from the recording; default: replay the recording.
             on_step: Functions that are called with the episode after every physics step.
         """
         world, motion, referee = self.world, self._motion, self._referee

@@ -1,4 +1,4 @@
-"""Handover episodes that are advanced together, with observations, motion and rules as arrays."""
+"""Batch of handover episodes that are simulated together; arrays have one row for each episode."""
 
 from handover_marl.config import TIME_STEP, WorldConfig
 from handover_marl.datasets.dataset import Scene
@@ -14,13 +14,12 @@ _VOLUNTARY = RELEASE_REASONS.index(ReleaseReason.VOLUNTARY)
 
 
 class Episodes:
-    """Simulator of n handover episodes in MuJoCo or MuJoCo Warp, which are advanced together.
+    """Batch of n handover episodes, simulated together by MuJoCo or MuJoCo Warp.
 
-    An episode does not depend on the other episodes; in MuJoCo it equals an episode of
-    `handover_marl.episode.episode.Episode`, in MuJoCo Warp it agrees to single precision. The argument `rows` (r,) of
-    methods has the indices of the episodes to which a method applies. All arrays are in one namespace: NumPy arrays,
-    or PyTorch tensors on the device of MuJoCo Warp. Memory of the device is free after `close`, once nothing refers to
-    its tensors.
+    The episodes do not influence each other. In MuJoCo, an episode equals one of
+    `handover_marl.episode.episode.Episode`; in MuJoCo Warp, it agrees with it to single precision. Methods apply to the
+    r episodes whose indices are in their argument `rows` (r,). Arrays are NumPy arrays in MuJoCo, and PyTorch tensors
+    on the device in MuJoCo Warp. The device's memory is free after `close`, once no tensor is in use any more.
 
     Args:
         config: Simulated world, protocol and limits of the givers.
@@ -29,8 +28,8 @@ class Episodes:
 
     Attributes:
         arrays: Creator of NumPy arrays, or of tensors on the device of MuJoCo Warp.
-        motion: Motion of the givers.
-        referees: Referee states.
+        motion: Motion of hands and objects, from the recordings and the givers' actions.
+        referees: Status, release and step counts of each episode.
         state: Full state of all episodes after their last `update_state`: arrays (n, ...) by the keys of
             `state_space`.
     """
@@ -75,13 +74,13 @@ class Episodes:
         self.state["object_classes"][row, :count] = self.arrays.asarray(scene.info.object_ids, "float32")
 
     def advance(self, rows: AnyIndices, robot_targets: AnyArray, steps: int, giver_actions: AnyArray) -> None:
-        """Simulate `steps` physics steps with constant actions, in each episode until it ends.
+        """Simulate `steps` physics steps with constant actions; an episode that ends is not simulated further.
 
         Args:
             rows: Indices (r,) of running episodes.
             robot_targets: (r, 9) target joint positions, 7 arm (rad) and 2 fingers (m).
             steps: Number of physics steps (1 ms).
-            giver_actions: (r, 8) deviations from the recordings.
+            giver_actions: (r, 8) deviations from the recordings, see `giver_action_space`.
 
         Raises:
             SimulationError: The engine failed; the states of all episodes are invalid.
@@ -121,7 +120,7 @@ class Episodes:
         return {**self.select_state(rows), **observe_giver_motion(self.motion, rows)}
 
     def are_grasped(self, rows: AnyIndices) -> AnyArray:
-        """Return (r,) whether both robot fingers touched the object in the last physics step of the episodes `rows`."""
+        """Return a mask (r,) of the episodes `rows` in whose last physics step both fingers touched the object."""
         return self._worlds.are_grasped(rows) & (self.referees.steps[rows] > 0)
 
     def read_contacts(self, row: int) -> Contacts:
@@ -131,7 +130,7 @@ class Episodes:
         return self._worlds.read_contacts(row, bool(self.released[row]))
 
     def make_infos(self, rows: AnyIndices) -> dict[str, AnyArray]:
-        """Return the infos of the episodes `rows` as `HandoverEnv` lists them, arrays (r,), without reward terms."""
+        """Return the infos of the episodes `rows`, arrays (r,) by the keys of `HandoverEnv`, without reward terms."""
         referees = self.referees
         return {
             "scene_id": self._scene_ids[rows],

@@ -1,4 +1,4 @@
-"""Motion of givers: reference motion of hands and objects, from the recordings and the givers' actions."""
+"""Reference motion of human hands and objects, computed from recordings and the givers' actions."""
 
 import functools
 from dataclasses import dataclass
@@ -43,7 +43,7 @@ class Recordings(Protocol):
     """Interface of the recordings of n givers; `rows` (r,) are indices of givers, `frames` (r, k) recorded frames."""
 
     def set_scene(self, row: int, scene: Scene) -> None:
-        """Choose the scene that the giver with index `row` plays."""
+        """Set the scene whose recording the giver with index `row` plays back."""
 
     def read(self, rows: AnyIndices, frames: AnyArray) -> ReferenceMotion:
         """Return copies (r, k, ...) of the joint positions of hand and objects in k recorded frames of each giver."""
@@ -53,7 +53,7 @@ class Recordings(Protocol):
 
 
 class NumpyRecordings:
-    """Recorded frames as NumPy arrays, which are read from the scenes.
+    """Recordings as NumPy arrays, which are read from the scenes.
 
     Args:
         count: Number n of givers.
@@ -65,7 +65,7 @@ class NumpyRecordings:
         self._poses: list[npt.NDArray[np.float32]] = [np.zeros((0, 2, 7), dtype=np.float32)] * count
 
     def set_scene(self, row: int, scene: Scene) -> None:
-        """Choose the scene that the giver with index `row` plays."""
+        """Set the scene whose recording the giver with index `row` plays back."""
         self._scenes[row], self._hand_present[row] = scene, scene.is_hand_present(np.arange(scene.n_frames))
         self._poses[row] = compute_recorded_poses(scene)
 
@@ -91,7 +91,7 @@ class NumpyRecordings:
 
 
 class TensorRecordings:
-    """Recorded frames as tensors, which stay on the device. A recording of DexYCB takes 1.1 MB.
+    """Recordings as tensors, which stay on the device; a recording of DexYCB takes 1.1 MB.
 
     Args:
         count: Number n of givers.
@@ -106,7 +106,7 @@ class TensorRecordings:
         self._poses = RowBank(arrays, (2, 7), "float32")
 
     def set_scene(self, row: int, scene: Scene) -> None:
-        """Choose the scene that the giver with index `row` plays, and copy it to the device unless it is there."""
+        """Set the scene that the giver with index `row` plays back, and copy it to the device unless it is there."""
         key = scene.info.scene_id
         if key not in self._first_by_scene:
             objects = np.zeros((scene.n_frames, MAX_OBJECTS, OBJECT_DOF), dtype=np.float32)
@@ -128,17 +128,18 @@ class TensorRecordings:
 
 
 class GiverState(NamedTuple):
-    """State of the playback of n givers (n, ...), or in each of k planned steps (n, k, ...).
+    """Playback state of n givers, arrays (n, ...), or their states after each of k planned steps, (n, k, ...).
 
     Attributes:
         clock: Playback time in frames, which need not be a whole number.
-        frame: Number of the frame that is played: `clock`, rounded, and at most the last frame.
+        frame: Number of the current frame: `clock`, rounded, and at most the last frame.
         rate: Playback rate minus 1.
         opening_progress: Progress of the hand's opening after a voluntary release, 0 to 1.
         offset: Displacement (m) and rotation vector (rad) of the wrist, (..., 2, 3).
         velocity: Velocity of this offset (m/s, rad/s), (..., 2, 3).
         has_deviated: Whether the wrist has ever had an offset.
-        angles: Euler angles (rad, intrinsic XYZ) of hand base and object, from which the next continue without a jump.
+        angles: Euler angles (rad, intrinsic XYZ) of hand base and object, (..., 2, 3). Of all equivalent angles of the
+            next step, those nearest to them are used, so that no angle jumps.
     """
 
     clock: AnyArray
@@ -167,11 +168,11 @@ class PlannedMotion:
 
 
 class GiverMotion:
-    """Playback of a recorded scene with deviations for each of n givers; it stays at the last frame.
+    """Playback of one recording for each of n givers, with the deviations that their actions set.
 
     `plan` returns the motion of the next physics steps, `commit` applies as many of them as were simulated. Hand and
-    held object deviate together, rigidly about the wrist, and only after the object has been picked up, because until
-    then the hand must reach it. The motion of a giver does not depend on the other givers.
+    held object deviate together, rigidly about the wrist, and only after the object has been picked up: until then the
+    hand must follow the recording to reach the object. A playback stays at the last frame. Givers are independent.
 
     Args:
         count: Number n of givers.
@@ -202,11 +203,11 @@ class GiverMotion:
         self._ahead = arrays.asarray([round(time / TIME_STEP) for time in config.preview], "int64")
 
     def reset(self, row: int, scene: Scene) -> ReferenceMotion:
-        """Start to play a scene, and return its first frame as a reference motion of one row.
+        """Start the playback of a scene, and return its first frame as a reference motion of one row.
 
         Args:
             row: Index of the giver.
-            scene: Scene to play.
+            scene: Scene to play back.
         """
         self._recorded.set_scene(row, scene)
         self._last_frame[row], self._pick_up[row] = scene.n_frames - 1, find_pick_up_frame(scene)
@@ -232,8 +233,8 @@ class GiverMotion:
         """Return the recorded poses of the givers `rows` (r,) at the k preview times, counted from now.
 
         Returns:
-            (r, k, 7) poses of the wrists, zeros without a hand, and (r, k, 7) poses of the objects to be handed over:
-            xyz (m) and quaternion xyzw, float32.
+            (r, k, 7) poses of the wrists, zeros without a hand, and (r, k, 7) poses of the target objects: xyz (m)
+            and quaternion xyzw, float32.
         """
         frames = self.state.frame[rows][:, None] + self._ahead
         poses = self._recorded.read_poses(rows, self._arrays.xp.minimum(frames, self._last_frame[rows][:, None]))
@@ -254,7 +255,7 @@ class GiverMotion:
         xp, state = self._arrays.xp, GiverState(*(values[rows] for values in self.state))
         actions = widen(actions)
         rates, clocks = self._plan_clocks(state, actions[:, 0], steps)
-        # Rates often sum to halves; rounding to 9 digits first keeps float noise from deciding.
+        # Playback times often end in .5; they are rounded to 9 digits first, so that rounding errors do not decide.
         frames = xp.astype(xp.round(xp.round(clocks * 1e9) / 1e9), xp.int64)
         frames = xp.minimum(frames, self._last_frame[rows][:, None])
         reference = self._recorded.read(rows, frames)
@@ -264,7 +265,7 @@ class GiverMotion:
         offsets, velocities = self._arrays.zeros((2, len(rows), steps, 2, 3))
         is_moving = state.has_deviated | xp.any(actions[:, 1:7] != 0.0, axis=1)
         if _is_any_set(is_moving):
-            # An object that is picked up during these steps must not move early. Before, the offset is zero, at rest.
+            # An object that is picked up during these steps must not move early: until then, the offset stays zero.
             delays = count_steps_until_pick_up(self._pick_up[rows], state.frame, frames)
             set_points = xp.where(delays[:, None] < steps, actions[:, 1:7], 0.0).reshape(-1, 2, 3)
             is_moving = state.has_deviated | xp.any(set_points != 0.0, axis=(1, 2))
@@ -352,7 +353,7 @@ class GiverMotion:
 
 
 def _is_any_set(flags: AnyArray) -> bool:
-    """Return whether one of the flags (r,) may be set: True for all tensors, which take long to read."""
+    """Return whether any of the flags (r,) is set; always True for tensors, since reading them would take long."""
     return is_tensor(flags) or bool(flags.any())
 
 
@@ -362,7 +363,7 @@ def requests_release(giver_actions: AnyArray) -> AnyArray:
 
 
 def count_steps_until_pick_up(pick_up: AnyArray, now: AnyArray, frames: AnyArray) -> AnyArray:
-    """Return how many of the next k physics steps start before the object is picked up, (r,) for r givers.
+    """Count, for each of r givers, how many of the next k physics steps start before the object is picked up, (r,).
 
     Args:
         pick_up: Frames (r,) in which the objects are picked up.

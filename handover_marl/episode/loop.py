@@ -19,9 +19,9 @@ from handover_marl.episode.spaces import STATE, check_giver_action, check_receiv
 from handover_marl.errors import HandoverError, OptionError, PolicyError
 
 Action = npt.NDArray[np.float32]
-#: Inference time of a receiver that is measured: the wall-clock time of each of its calls.
+#: Inference time that is measured: the wall-clock time of each call of the receiver.
 MEASURED: Final = "measured"
-#: Simulated time (s) that passes during each call of the receiver, or `MEASURED`; None stops the simulation meanwhile.
+#: Simulated time (s) that passes during each call of the receiver, or `MEASURED`; None: no simulated time passes.
 InferenceTime: TypeAlias = float | Literal["measured"] | None
 
 _LONGEST_HOLD = 1e9  # s
@@ -155,7 +155,7 @@ def call_policy(policy: EpisodePolicy, observation: Observation, step: int) -> t
 
 @contextlib.contextmanager
 def _name_policy(policy: EpisodePolicy, when: str, observation: Observation | None = None) -> Iterator[None]:
-    """Raise errors of a policy's code as `PolicyError` with its name and `when` it failed; keep library errors."""
+    """Convert errors of a policy's own code to a `PolicyError` with the policy's name and `when` it failed."""
     try:
         yield
     except HandoverError:
@@ -188,8 +188,8 @@ class EpisodeAgent:
         agent: Agent that the policy acts for, "giver" or "receiver".
         policy: Policy; the observation of a receiver is empty if its attribute `obs_mode` is None.
         seed: Seed of the run.
-        inference_time: Simulated time that passes during a call; the held action stays in effect meanwhile, at first
-            the present joint positions of the robot. The next call is not before the last one has returned.
+        inference_time: Simulated time that passes during a call. Until it has passed, the previous action stays in
+            effect (before the first action, the robot's joint positions are held), and there is no other call.
 
     Attributes:
         action: Action that is held; empty before the first decision.
@@ -237,7 +237,7 @@ class EpisodeAgent:
             self.action, self.pending = self.pending, None
 
     def act(self) -> Action:
-        """Return the action at the present physics step: a new one if a decision is due, else the last one.
+        """Return the action for the present physics step: call the policy if that is due, else return the held action.
 
         Raises:
             ActionError, PolicyError, OptionError: See `decide`.
@@ -247,7 +247,7 @@ class EpisodeAgent:
         return self.action
 
     def decide(self, state: Observation) -> None:
-        """Call the policy, and hold its action in `action` until the step `due`; `update` sets it after inference time.
+        """Call the policy and hold its action until the step `due`; during the inference time it waits in `pending`.
 
         Args:
             state: Full state as `Episode.observe` returns it now.
@@ -290,14 +290,14 @@ def run_episode(
     callbacks: Sequence[EpisodeCallback] = (),
     inference_time: InferenceTime = None,
 ) -> int:
-    """Let policies act from the start of a scene until the episode ends.
+    """Run one episode in which policies act, from its start until it ends or `until` stops it.
 
     Args:
         episode: Episode at the start of a scene, after `Episode.reset`.
         receiver: Policy of the robot; its observation is empty if its attribute `obs_mode` is None.
         giver: Policy of the person; None replays the recording.
         seed: Seed of the run, from which the seeds of policies and camera are derived.
-        until: Largest number of physics steps, or a predicate that ends the loop; it is evaluated
+        until: Largest number of physics steps, or a function that returns True to end the loop; it is called
             after each decision, before the actions are applied.
         callbacks: Callbacks, called in this order.
         inference_time: Simulated time that passes during each call of the receiver, see `EpisodeAgent`.
@@ -349,8 +349,8 @@ def run_episode(
 def derive_giver_seed(seed: int | None, scene_id: int) -> int:
     """Derive the seed of a giver: a hash of the run's seed and the scene number.
 
-    Nothing that a receiver observes may be drawn with this seed, since the receiver could find the scene number by
-    trying all numbers. A receiver may only see these draws in the motion of a giver that acts at random.
+    Only the giver may use this seed. From other draws with it that a receiver observes, such as camera noise, the
+    receiver could find the scene number by trying all numbers.
 
     Args:
         seed: Seed of the run; None is 0.

@@ -45,7 +45,7 @@ def state_space(largest_class: int = LARGEST_YCB_CLASS) -> spaces.Dict:
     | robot_joint_position | (9,) | seven arm joints, two fingers |
     | robot_joint_velocity | (9,) | velocities of these joints |
     | gripper_pose | (7,) | pose of the Panda's hand link |
-    | object_poses | (5, 7) | poses of the objects, the one to be handed over first; zeros for no object |
+    | object_poses | (5, 7) | poses of the objects, the one that is handed over first; zeros for no object |
     | object_mask | (5,) | 1 for an object, 0 for none |
     | object_classes | (5,) | class number, 1-21 for YCB classes, from 22 on for others; 0 for no object |
     | hand_dof_position | (51,) | base and finger joints of the human hand; zeros without a hand |
@@ -102,7 +102,7 @@ def giver_observation_space(
     | key | shape | meaning (world frame; m, rad; quaternions xyzw) |
     |---|---|---|
     | replay_wrist_poses | (5, 7) | recorded wrist poses 0.1 to 0.5 s ahead; zeros without a hand |
-    | replay_object_poses | (5, 7) | recorded poses of the object to be handed over at these times |
+    | replay_object_poses | (5, 7) | recorded poses of the object that is handed over at these times |
     | deviation | (7,) | current playback rate minus 1, wrist displacement and rotation vector |
     | holding | (1,) | 1 after the object has been picked up, when displacements take effect |
     """
@@ -152,7 +152,7 @@ def select_receiver_observation(state: Observation, camera: Observation, obs_mod
 
 
 def observe_giver_motion(motion: GiverMotion, rows: AnyIndices) -> Observation:
-    """Return arrays (r, ...) by the keys that `giver_observation_space` has in addition to the state.
+    """Return the part of r givers' observations that is not in the state, arrays (r, ...) by key.
 
     Args:
         motion: Motion of n givers.

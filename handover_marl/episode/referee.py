@@ -27,8 +27,8 @@ class ReleaseReason(Enum):
     """Reason why the person released the object.
 
     ACTIVE: both fingers touched the object inside their grasp regions for 0.1 s.
-    PASSIVE: the robot pushed the object for 0.1 s with neither finger's grasp region on it.
-    VOLUNTARY: the giver's action requested the release, which HandoverSim does not have.
+    PASSIVE: the robot touched the object for 0.1 s, but not inside the grasp region of a finger.
+    VOLUNTARY: the giver's action requested the release. HandoverSim has no such release.
     """
 
     ACTIVE = "active"
@@ -101,8 +101,8 @@ class Referee:
         release_reason: Reason why the person released the object; None before a release.
         release_step: Physics step (from 1) of the release, or the step after which a voluntary
             release took effect; None before a release.
-        released: Whether the person has released the object. Status rules use it in the same step, the
-            simulation from the next step on.
+        released: Whether the person has released the object. The rules of the status use it in the step of the
+            release, the simulation from the next step on.
     """
 
     def __init__(self, config: ProtocolConfig) -> None:
@@ -183,11 +183,11 @@ class Referee:
 
 
 def make_judge(referees: RefereeState, rules: ProtocolConfig) -> JudgeFunction:
-    """Return the function by which worlds in a rollout apply the rules of release and end to their steps.
+    """Return a function that applies the rules of release and status to the contacts of a rollout.
 
     Args:
         referees: Referee states of the n episodes in the rollout, which the function updates.
-        rules: Rules of release and end.
+        rules: Thresholds of the protocol's rules.
     """
 
     def judge(rows: AnyIndices, contacts: RolloutContacts) -> RolloutEnd:
@@ -195,7 +195,7 @@ def make_judge(referees: RefereeState, rules: ProtocolConfig) -> JudgeFunction:
         last, after = judge_steps(before, contacts, rules)
         taken, released = last + 1, (after.release_reason >= 0) & (before.release_reason < 0)
         if is_tensor(last):
-            # Worlds on a device are simulated after their ends, too.
+            # Worlds on a device are simulated further after their episodes have ended; these steps do not count.
             xp, running = get_namespace(last), before.status == 0
             taken, released = xp.where(running, taken, 0), running & released
             after = RefereeState(*(xp.where(running, new, old) for new, old in zip(after, before, strict=True)))
@@ -208,7 +208,7 @@ def make_judge(referees: RefereeState, rules: ProtocolConfig) -> JudgeFunction:
 def judge_steps(
     before: RefereeState, contacts: RolloutContacts, config: ProtocolConfig
 ) -> tuple[AnyArray, RefereeState]:
-    """Apply release and end rules to k steps of n episodes, up to the first release or end of each.
+    """Apply the rules of release and status to k steps of n episodes, up to the first release or end of each.
 
     The states are the same as with `Referee.update` after every step, but there is no loop over steps.
 

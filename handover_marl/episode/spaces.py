@@ -9,9 +9,8 @@ from handover_marl.errors import ActionError, UnknownNameError
 from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
 
 #: Parts of an observation mode, joined by "+": the simulator's state, and data of cameras.
-#: Without "state", an observation has only the keys `observations.PROPRIOCEPTION` of the state beside the
-#: camera's data (joint positions and velocities, pose of the hand link, time), so that a policy cannot use the true
-#: poses by accident.
+#: Without "state", an observation has camera data and, of the state, only the keys `observations.PROPRIOCEPTION` (joint
+#: positions and velocities, pose of the hand link, time), so that a policy cannot use the true poses by accident.
 STATE, POINTCLOUD, SCENE_POINTCLOUD, FULL_POINTCLOUD = "state", "pointcloud", "scene_pointcloud", "full_pointcloud"
 DEPTH, SEGMENTATION, RGB, RGBD, POINT_MAP = "depth", "segmentation", "rgb", "rgbd", "point_map"
 OBS_PARTS = (STATE, POINTCLOUD, SCENE_POINTCLOUD, FULL_POINTCLOUD, DEPTH, SEGMENTATION, RGB, RGBD, POINT_MAP)
@@ -67,8 +66,8 @@ def giver_action_space(config: GiverConfig = OFFICIAL_CONFIG.giver) -> spaces.Bo
     | 4-6 | set-point of the rotation vector about the wrist, world frame (rad) | -1 to 1 |
     | 7 | release the object if above 0.5 | 0 to 1 |
 
-    Actions beyond the bounds are clipped. Set-points are tracked with limited speed and take effect once
-    the object has been picked up; see `handover_marl.config.GiverConfig`.
+    Actions beyond the bounds are clipped. Set-points are approached with limited speed and take effect
+    once the object has been picked up; see `handover_marl.config.GiverConfig`.
     """
     high = np.array([1.0, *[config.displacement] * 3, *[config.rotation] * 3, 1.0], dtype=np.float32)
     low = -high

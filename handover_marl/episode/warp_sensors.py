@@ -22,8 +22,8 @@ _CHUNK = 64
 class WarpSensors:
     """Cameras of n episodes without noise; images are rendered by ray casting with Warp.
 
-    Observations equal those of `CameraSensor` with the renderer "rays" to single precision, except that the random
-    subset is another one for clouds of more than 1024 points.
+    Observations equal those of `CameraSensor` with the renderer "rays" to single precision, except that clouds of more
+    than 1024 points have another random subset.
 
     Args:
         obs_mode: Observation mode of the receiver, with point clouds or images.
@@ -64,7 +64,7 @@ class WarpSensors:
         Args:
             rows: Indices (r,) of the episodes.
             state: Full state (r, ...) of these episodes.
-            steps: Physics steps (r,) since the start of each episode, which seed the random choice of points.
+            steps: Numbers (r,) of physics steps since the start of each episode, which seed the choice of points.
         """
         count = len(rows)
         observation = {key: self._arrays.zeros((count, *shape), dtype) for key, (shape, dtype) in self._formats.items()}

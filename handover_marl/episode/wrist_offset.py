@@ -1,6 +1,6 @@
 """Rigid offsets of recorded hands about their wrists, and set-point tracking with limited speed and acceleration.
 
-Euler angles are intrinsic XYZ; bodies are on chains of three prismatic and three revolute joints.
+Euler angles are intrinsic XYZ. Each body is moved by three prismatic and three revolute joints.
 """
 
 import numpy as np
@@ -19,7 +19,7 @@ from handover_marl.geometry.rotations import (
 )
 
 _TOLERANCE = 1e-6  # m, rad
-# Smallest divisor of vectors that may have no length.
+# Smallest divisor, in place of the length of a vector that may be zero.
 _TINY = 1e-300
 
 
@@ -33,7 +33,7 @@ def track_set_points(
         velocities: Velocities (m/s, rad/s) before the first step, (d, 2, 3).
         set_points: Values to reach, (d, 2, 3).
         steps: Number k of physics steps.
-        limits: Largest speeds (m/s, rad/s) and accelerations (m/s^2, rad/s^2), (2, 2): of displacements, of rotations.
+        limits: (2, 2) largest speeds (m/s, rad/s), then accelerations (m/s^2, rad/s^2), of displacement and rotation.
 
     Returns:
         Values and velocities (d, k, 2, 3) after each step.
@@ -117,7 +117,7 @@ def _continue_euler(angles: AnyArray, previous: AnyArray) -> AnyArray:
         previous: Angles (m, 3) before the first step.
     """
     xp, (count, steps) = get_namespace(angles), angles.shape[:2]
-    # Mostly the same solution and full turns are right in all steps: try those of the first.
+    # Usually the solution and the full turns that are nearest in the first step are nearest in all: try them first.
     solution, turns = find_nearest_euler_branch(angles[:, 0], previous)
     other = np.pi + xp.stack([angles[..., 0], -angles[..., 1], angles[..., 2]], axis=-1)
     guess = xp.where((solution == 0)[:, None, None], angles, other) + 2.0 * np.pi * turns[:, None]

@@ -143,7 +143,7 @@ class ServoConfig(CheckedConfig):
 class ArmServo:
     """Controller that converts joint velocities to position targets of the arm's motors.
 
-    Position motors lag behind their target; a target that leads by the same amount makes the arm arrive on time.
+    Position motors lag behind their targets. The targets therefore lead the wanted motion by the same amount.
 
     Args:
         config: Joint speeds and accelerations.

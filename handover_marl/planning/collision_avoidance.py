@@ -1,8 +1,8 @@
 """Collision avoidance: joint velocities that keep clear of bodies, and via points around obstacles.
 
-Velocities follow the idea of speed and separation monitoring in ISO/TS 15066, as a velocity damper (Faverjon and
-Tournassoud, 1987): clearance beyond a minimum may be used up within a given time and no sooner, by the motion of robot
-and body together.
+Velocities are limited by a velocity damper (Faverjon and Tournassoud, 1987), as in speed and separation monitoring of
+ISO/TS 15066: the speed at which robot and body approach each other is at most the clearance beyond a minimum, divided
+by a time constant.
 """
 
 import math
@@ -28,7 +28,7 @@ Array = npt.NDArray[np.float64]
 
 _DAMPING = 1e-4
 _N_SWEEPS = 4
-# Shares of a straight path at which clearances are checked.
+# Fractions of a straight path at which clearances are checked.
 _SHARES = np.array([0.25, 0.5, 0.75, 1.0])
 # Candidate via points: offsets from the middle of the path (rad).
 _OFFSETS = np.random.default_rng(0).normal(0.0, 0.6, (50, 7))
@@ -96,8 +96,8 @@ def enforce_separation(
 ) -> Array:
     """Change wanted joint velocities (7,) in rad/s at joints (7,) as little as needed to keep clear of all bodies.
 
-    If bodies conflict, the last one has priority. If `leaving` is set, the robot only has to avoid coming closer to a
-    body whose clearance is already too small, as when it withdraws from a person's hand.
+    If not all bodies can be avoided, the last one has priority. The robot moves away from a body whose clearance is
+    below the minimum; if `leaving` is set, as when it withdraws from a person's hand, it only must not come closer.
     """
     hand, dampers = arm.compute_hand_pose(joints), []
     for body in bodies:
@@ -124,9 +124,9 @@ def select_safe_velocity(
     table_height: float,
     config: SeparationConfig,
 ) -> Array:
-    """Return the first of several joint velocities that keeps all clearances during the lookahead.
+    """Return the first of several joint velocities (7,) that keeps all clearances at the end of the lookahead.
 
-    If no candidate does so, the one (7,) with the smallest violation is returned. The candidates `wanted` (n, 7) in
+    If no candidate does so, the one with the smallest violation is returned. The candidates `wanted` (n, 7) in
     rad/s are ordered by preference; `reached` (n, 7) are the velocities that the motors can reach for each of them.
     The arm is at `joints` (7,) in rad, and the table's surface at `table_height`, world z in m.
     """
@@ -163,7 +163,7 @@ class PathObstacles:
 
 
 def is_path_clear(arm: ArmInWorld, start: Array, goal: Array, obstacles: PathObstacles) -> bool:
-    """Return whether arm and open gripper keep clear of obstacles on a straight joint path from start to goal, (7,).
+    """Return whether arm and open gripper keep clear of obstacles on the straight joint path from start to goal, (7,).
 
     If the start has less than the wanted clearance, a path counts as clear if no point of it has less clearance
     than the start.

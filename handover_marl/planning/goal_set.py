@@ -1,6 +1,6 @@
-"""Goal sets of the OMG planner: arm configurations at grasps, and the online selection among them.
+"""Goal sets of the OMG planner (see `planner.py`): arm configurations at grasps, and the selection among them.
 
-Each goal comes with a tail, the straight approach to its grasp from a standoff.
+A goal has a tail: the arm configurations on the straight approach from the standoff to the grasp.
 """
 
 from collections.abc import Callable, Sequence
@@ -43,24 +43,24 @@ _MAX_ITERATIONS, _TOLERANCE = 100, 1e-6
 _STANDOFF = 0.08
 #: Number of poses on the approach (tail) from standoff to grasp, both included.
 N_TAIL = 5
-# Norm of the joint differences on an approach (rad); on a longer one inverse kinematics has jumped.
+# Maximum norm of the joint differences on an approach (rad); on a longer one, inverse kinematics has jumped.
 _MAX_TAIL_NORM = 2.0
-# Rotation of the hand relative to its start (rad), and z component of the hand's x axis in the base frame, at some
-# points of the straight joint path to the grasp.
+# Maximum rotation of the hand from its start (rad), minimum z component of the hand's x axis in the base frame, and
+# number of points on the straight joint path to the grasp at which both are checked.
 _MAX_ROTATION, _MIN_HAND_X_Z, _N_PATH_CHECKS = np.radians(120.0), -0.3, 5
-#: Distance below which a point of the robot collides with an object (m).
+#: Distance from an object below which a point of the robot counts as colliding (m).
 COLLISION_DISTANCE = 0.01
-# Number of colliding pairs of robot point and object at a standoff.
+# Maximum number of colliding pairs of robot point and object at a standoff.
 _MAX_COLLISIONS = 5
-# Distance between the standoffs of two goals (rad), and number of goals in a goal set.
+# Minimum distance between the standoffs of two goals (rad), and maximum number of goals in a goal set.
 _MIN_GOAL_DISTANCE, _MAX_GOALS = 0.5, 100
-# Number of selection rounds for which the optimal fixed learning rate is computed, and the experts' rates as multiples.
+# Number of selection rounds for which the optimal learning rate is computed, and the experts' multiples of that rate.
 _N_ROUNDS, _LEARNING_RATES = 50, (0.25, 0.5, 1.0, 4.0, 16.0)
 # Number of waypoints by which the start of the evaluated straight path moves along the trajectory in each round.
 _LOOKAHEAD_RATE = 0.6
 # Weight of the straight path's squared length in joint space.
 _SMOOTHNESS_WEIGHT = 0.003
-# Number of last goals that the original never checks for collisions; see `PlannerConfig.unchecked_last`.
+# Number of last goals that the authors' code never checks for collisions; see `PlannerConfig.unchecked_last`.
 _UNCHECKED = 5
 #: Minimum clearance of the gripper to the person's hand (m); goals with less are excluded if other goals exist.
 MIN_HAND_CLEARANCE = 0.02
@@ -69,7 +69,7 @@ MIN_HAND_CLEARANCE = 0.02
 def is_usable_grasp(object_name: str, grasps: Array) -> npt.NDArray[np.bool_]:
     """Return a mask (n,) of the grasps, hand link poses (n, 7; xyzw) in the object's frame, that OMG uses.
 
-    For some objects, by their YCB class names, grasps that slip are excluded.
+    Some grasps of scissors, bowl and mug (YCB class names) slip and are excluded.
     """
     rule = _RULES.get(object_name)
     if rule is None:
@@ -93,7 +93,7 @@ _RULES: dict[str, Callable[[Array, Array], npt.NDArray[np.bool_]]] = {
 
 @dataclass(frozen=True, eq=False)
 class GoalSet:
-    """Arm configurations at grasps, the goals at which a trajectory may end.
+    """Set of goals at which a trajectory may end: arm configurations at grasps.
 
     Attributes:
         tails: (g, t, 7) configurations on the approach from the standoff to the grasp (rad).
@@ -202,7 +202,7 @@ class GoalSetBuilder:
     def _add_wrist_flips(self, goals: GoalSet) -> GoalSet:
         """Append the same grasps with the last joint rotated by pi, within its limits."""
         flipped = goals.tails.copy()
-        # All rows are flipped as the first one, so that a tail across zero is not torn apart.
+        # All rows are rotated in the direction of the first one, so that a tail across zero has no jump.
         flipped[..., _LAST_JOINT] -= np.copysign(np.pi, goals.tails[:, :1, _LAST_JOINT])
         low, high = self._limits[0][_LAST_JOINT], self._limits[1][_LAST_JOINT]
         fits = ((low < flipped[..., _LAST_JOINT]) & (flipped[..., _LAST_JOINT] < high)).all(axis=1)
@@ -214,7 +214,7 @@ class GoalSetBuilder:
         )
 
     def _is_rotated_little(self, goals: Array) -> npt.NDArray[np.bool_]:
-        """Return a mask (g,) of the goals (g, 7) for which the hand link stays upright on the straight joint path."""
+        """Return a mask (g,) of the goals (g, 7) for which the hand turns little on the straight joint path."""
         shares = np.arange(1, _N_PATH_CHECKS + 1) / (_N_PATH_CHECKS + 1)
         line = self._start + shares[:, None, None] * (goals - self._start)
         rotations = self._arm.compute_chain_frames(line.reshape(-1, 7)).rotations[-1]
@@ -250,8 +250,8 @@ class GoalSetBuilder:
 class GoalSelector:
     """Online goal selection by mirror descent over experts (Wang et al., 2020, III-C).
 
-    The selector learns which goal is cheap to reach from the present trajectory. With each round, a
-    longer first part of the trajectory is treated as fixed.
+    In each round, it estimates the cost of a straight path from a waypoint of the present trajectory to each goal; the
+    waypoint is later in later rounds. Experts are copies of the weights of all goals with different learning rates.
 
     Args:
         cost: Obstacle cost of straight paths.
@@ -276,7 +276,7 @@ class GoalSelector:
         return int(np.argmin(self._costs(trajectory, 0)))
 
     def select_next(self, trajectory: Array, round_number: int) -> int:
-        """Update the selection by a trajectory (w, 7) in a round, from 1, and return the index of the selected goal."""
+        """Update the selection by a trajectory (w, 7), and return the selected goal's index; rounds count from 1."""
         costs = self._costs(trajectory, round_number)
         before = self._experts
         self._experts = np.stack(

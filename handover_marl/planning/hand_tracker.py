@@ -17,7 +17,7 @@ Array = npt.NDArray[np.float64]
 
 _WRIST, _INDEX, _LITTLE = 0, 1, 7
 _FINGERS = ((1, 2, 3), (4, 5, 6), (7, 8, 9), (10, 11, 12), (13, 14, 15))
-# Palm edges between neighbouring knuckles, and between the index finger's and the thumb's.
+# Palm edges between neighboring knuckles, and between the index finger's and the thumb's.
 _PALM_EDGES = ((1, 4), (4, 10), (10, 7), (1, 14))
 # Length of a fingertip with its pad relative to the bone before it (Buryanov and Kotiuk, 2010: 0.7 to 0.9).
 _TIP_RATIO = 0.9
@@ -80,7 +80,7 @@ def hand_capsules_from_observation(observation: Observation) -> Capsules | None:
 
 
 def _link_rotations(dof: Array) -> list[Rotation]:
-    """Return the world orientations of the links behind 15 finger joints for the hand's joint positions (51,)."""
+    """Return the world orientations of the links after the 15 finger joints, at the hand's joint positions (51,)."""
     base = Rotation.from_euler("XYZ", dof[3:6])
     rotations: list[Rotation] = []
     for joint, angles in enumerate(dof[6:].reshape(15, 3)):
@@ -128,7 +128,7 @@ class HandTracker:
     def predict_attached_pose(self, points: Array, pose: Array, ahead: float) -> Array:
         """Return the world pose (7,), a time `ahead` (s) from now, of a frame that is fixed to the person's hand.
 
-        `pose` (7,) is the frame's pose at an earlier time, and `points` (k, 3) the `reference_points` at that time.
+        `pose` (7,) is the frame's pose at an earlier time, and `points` (k, 3) are the `reference_points` of that time.
         The frame moves with the hand until now, and then at the hand's velocity; without a hand it stays at `pose`.
         """
         if points.shape != self.points.shape or not len(points):
@@ -149,8 +149,5 @@ class HandTracker:
         return float(np.linalg.norm(self.velocity))
 
     def compute_distance(self, position: Array) -> float:
-        """Return the distance (m) from a world position (3,) to the hand's nearest keypoint.
-
-        Without a hand the distance is infinite.
-        """
+        """Return the distance (m) of the hand's nearest keypoint to a world position (3,), infinite without a hand."""
         return float(np.linalg.norm(self.points - position, axis=1).min()) if len(self.points) else np.inf

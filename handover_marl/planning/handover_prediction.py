@@ -38,8 +38,7 @@ class HandoverPosePredictorConfig(CheckedConfig):
         rest_speed: Speed below which an object counts as at rest (m/s).
         held_still_radius: Maximum distance of an object that is held still from its position `held_still_time` ago (m).
         held_still_time: Time for which an object that is held still has stayed within `held_still_radius` (s).
-        held_still_min_lift: Minimum distance between the object's position `held_still_time` ago and its
-            position at the start of the episode (m).
+        held_still_min_lift: Minimum distance of the object's position `held_still_time` ago from its first one (m).
         held_still_horizon: Time for which the velocity of an object that is held still is extrapolated (s).
     """
 
@@ -145,7 +144,7 @@ class HandoverPosePredictor:
     def predict_point_twist(self, point: Array, ahead: float) -> tuple[Array, Array]:
         """Predict the velocities, linear (3,) in m/s and angular (3,) in rad/s, of a world point (3,) on the object.
 
-        The velocities are predicted for the middle of the coming period, which lasts `ahead` (s).
+        They are predicted for the middle of the coming control period, which lasts `ahead` (s).
         """
         since = 0.5 * (self._step + ahead) if np.isfinite(self._step) else 0.0
         velocity = self.latest_velocity + since * self.acceleration

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from handover_marl.simulation.bullet.kinematics import BulletIKStep
 
 Array = npt.NDArray[np.float64]
-#: Solvers of single queries, which may not converge.
+#: Solvers with `solve_step`, which takes a few iterations towards one pose and may not converge.
 IkStepper: TypeAlias = "BulletIKStep | PandaIkSolver"
 
 _DAMPING = 1e-9
@@ -33,16 +33,16 @@ Joints = npt.NDArray[np.floating]
 _UNLIMITED = np.full(ARM_DOF, -np.inf), np.full(ARM_DOF, np.inf)
 # Maximum final error of position (m) and rotation (rad), as in PyBullet.
 _TOLERANCE = (1e-3, 0.1)
-# From far away, PyBullet's damped steps end in other configurations than Newton's own. With this
-# damping all but one of 640 queries of `yang2021` (40 scenes of s0 train) are solved where PyBullet
-# solves them, 95 % within 0.03 rad of its solution.
+# From a distant seed, PyBullet's damped steps end in other configurations than undamped ones. With this damping, all
+# but one of 640 queries of `yang2021` (40 scenes of s0 train) are solved if PyBullet solves them, 95 % of them within
+# 0.03 rad of its solution.
 _PANDA_DAMPING = 0.1
 # Largest joint rotation in one step (rad), as in PyBullet.
 _MAX_STEP = np.pi / 4.0
 _MAX_ITERATIONS, _MIN_STEP = 500, 3e-4
 # Iterations and tolerance of a single query.
 _STEP_ITERATIONS, _STEP_TOLERANCE = 20, (1e-4, 1e-3)
-# Bounds (m, rad) within which a search may still end at the tolerance.
+# Remaining errors (m, rad), above the tolerance, beyond which a pose is skipped as unreachable.
 _REACH_DISTANCE, _REACH_ANGLE = 2e-3, 0.11
 # Largest number of robots whose solvers a thread keeps.
 _MAX_SOLVERS = 4
@@ -66,7 +66,7 @@ def solve_ik(
     """Solve inverse kinematics of many hand poses in the arm's base frame by Newton's method from seeds (n, 7).
 
     Every iteration solves the linearized problem with the smallest joint motion and clamps the result to the joint
-    limits, (7,) each. Positions (n, 3) are in m; rotations (n, 3, 3) may be None for any. The tolerance is the maximum
+    limits, (7,) each. Positions (n, 3) are in m; rotations (n, 3, 3) may be None if free. The tolerance is the maximum
     error of each component of position (m) and rotation vector (rad), or two values for their norms. More damping (m^2)
     takes shorter steps that stay nearer to the seed. A search ends without solution after `iterations` steps, or where
     a step is below `min_step`; steps above `max_step` are scaled down (rad). Returns configurations (n, 7) in rad, and
@@ -78,7 +78,7 @@ def solve_ik(
     rows = slice(3 if rotations is None else 6)
     for step in range(iterations + 1):
         chain = arm.compute_chain_frames(joints[active])
-        # Any rotation serves where it is left free: its rows of the error are dropped.
+        # If the rotation is free, any one will do: its rows of the error are dropped.
         wanted = np.repeat(np.eye(3)[None], len(active), axis=0) if rotations is None else rotations[active]
         error = compute_pose_error(chain.origins[-1], chain.rotations[-1], positions[active].T, wanted)[rows]
         is_reached = _is_within(error, tolerance)
@@ -248,7 +248,7 @@ class PandaIkSolver(IkSolver):
     def solve_step(
         self, joints: npt.ArrayLike, position: npt.ArrayLike, orientation: npt.ArrayLike | None = None
     ) -> Array:
-        """Return joints (9,), reached from `joints` (9,), that bring the hand link to a world pose or closer to it.
+        """Return joints (9,) that bring the hand link from `joints` (9,) to a world pose, or closer to it.
 
         The pose is a position (3,) in m and a quaternion (4,) xyzw, None for any orientation. Seven arm joints (rad)
         are followed by two finger positions, which are zero.

@@ -1,7 +1,7 @@
 """OMG: manipulation trajectory optimization with online grasp selection (Wang et al., RSS 2020).
 
-The optimizer is goal-set CHOMP (Zucker et al., 2013): covariant gradient steps that keep the end of
-a trajectory on the tail of a goal (Wang et al., 2020, section III-B).
+The optimizer is goal-set CHOMP (Zucker et al., 2013): covariant gradient steps that keep the end of a trajectory on the
+tail of a goal, the straight approach to its grasp (Wang et al., 2020, section III-B).
 """
 
 from collections.abc import Sequence
@@ -30,7 +30,7 @@ OBJECT_PADDING = 0.2
 _HAND_PADDING, _CLEARANCE_COST, _HAND_CELL = 0.1, 10.0, 0.01
 
 # Values of the authors unless stated otherwise.
-# Joint limits are narrowed by this amount on each side (rad).
+# Amount by which joint limits are narrowed on each side (rad).
 _LIMIT_PADDING = 0.2
 # Number of collision points on each link, and of points on the robot's hand and on each finger from which clearances
 # to the person's hand are computed (own value).
@@ -45,8 +45,8 @@ _SMOOTHNESS_WEIGHT, _SMOOTHNESS_GROWTH = 0.1, 1.02
 _STEP_SIZE = 0.1
 # Number of projections onto the joint limits in a step, and norm of violations below which none is made (rad).
 _MAX_LIMIT_PROJECTIONS, _LIMIT_TOLERANCE = 10, 1e-2
-# A trajectory ends the optimization early up to this number of colliding pairs of body point and object, joint distance
-# of the last waypoint from the goal (rad), smoothness cost and joint limit violation (rad).
+# The optimization ends early once the trajectory has at most this number of colliding pairs of body point and object,
+# joint distance of the last waypoint from the goal (rad), smoothness cost and joint limit violation (rad).
 _MAX_COLLISIONS, _GOAL_TOLERANCE, _MAX_SMOOTHNESS_COST, _MAX_LIMIT_VIOLATION = 5, 0.01, 35.0, 5e-3
 
 
@@ -57,12 +57,12 @@ class PlannerConfig:
     Attributes:
         n_waypoints: Number of waypoints of a trajectory without its start; the default is the authors'.
         avoids_hand: Whether the person's hand is an obstacle; the authors' code ignores it.
-        unchecked_last: Whether to reproduce an indexing error of the authors' code. It sets the costs of the last rows
-            of any batch to zero, which is meant for the approach at the end of a trajectory. In a batch of goals these
-            rows are the last five goals in the collision filter, and in goal selection the waypoints of the last goal,
-            which makes that goal look cheap. Measured on DexYCB (exact physics, replay giver, paired by scene), the
-            error changes s0 test (144 scenes) by +2.1 percentage points of success (95 %: -6.8 to +11.0) and -4.9 of
-            contact (-12.6 to +3.0), s1 test (180 scenes) by +8.9 (+0.9 to +16.7) and -10.6 (-17.9 to -3.0).
+        unchecked_last: Whether to reproduce an indexing error of the authors' code. It sets the obstacle costs of the
+            last rows of every array to zero, which is meant for the approach at the end of a trajectory. In arrays of
+            goals, these are the last five goals, which skip the collision check, and in goal selection the waypoints of
+            the last goal, which makes it seem cheap. Measured on DexYCB (exact physics, replay giver, paired by scene),
+            the error changes s0 test (144 scenes) by +2.1 percentage points of success (95 %: -6.8 to +11.0) and -4.9
+            of contact (-12.6 to +3.0), s1 test (180 scenes) by +8.9 (+0.9 to +16.7) and -10.6 (-17.9 to -3.0).
     """
 
     n_waypoints: int = 30
@@ -188,7 +188,7 @@ class Chomp:
         difference = (np.eye(n_waypoints) - np.eye(n_waypoints, k=-1)) / WAYPOINT_PERIOD
         self._metric = difference.T @ difference
         self._inverse_metric = np.linalg.inv(self._metric)
-        # Smoothness is half the squared norm of the differences, the first of which has the start.
+        # Smoothness is half the squared norm of the differences, the first of which is from the start.
         self._start_gradient = difference.T @ np.concatenate([[-1.0 / WAYPOINT_PERIOD], np.zeros(n_waypoints - 1)])
         ends = self._inverse_metric[:, -cost.n_tail :]
         self._tail_correction = ends @ np.linalg.inv(ends[-cost.n_tail :])
@@ -224,9 +224,9 @@ class Chomp:
         )
 
     def _project_to_limits(self, trajectory: Array) -> Array:
-        """Return the trajectory smoothly moved towards the joint limits.
+        """Return the trajectory, moved smoothly into the joint limits up to a tolerance.
 
-        The tail moves too; the next step repairs it.
+        The tail moves, too; the next step restores it.
         """
         for _ in range(_MAX_LIMIT_PROJECTIONS):
             violation = self.compute_limit_violation(trajectory)

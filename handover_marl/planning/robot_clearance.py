@@ -1,4 +1,4 @@
-"""Clearances of the Panda's gripper and forearm, for many configurations at once.
+"""Clearances of the Panda's gripper and arm (elbow to wrist), for many configurations at once.
 
 The gripper is modelled as boxes, elbow to wrist as capsules, and everything else as spheres. Lengths are in metres,
 poses are position and quaternion xyzw, and a negative clearance is the penetration depth.
@@ -27,10 +27,10 @@ GRIPPER_BOX_HALF_SIZES = np.array(
 
 #: Center and half size of the volume that the fingers sweep when they close.
 CLOSING_BOX = (np.array([0.0, 0.0, 0.0855]), np.array([0.0105, 0.0666, 0.0271]))
-# Boxes that move through space on the straight approach: hand body and flange.
+# Numbers of the boxes that sweep a volume on the straight approach: hand body and flange.
 _APPROACH_BOXES = (0, 3)
 _FLANGE = 3
-# Center and half size of the volume between the pads, slightly smaller than what they can press.
+# Center and half size of the volume between the pads, slightly smaller than the one that they can grip.
 _PAD_REGION = (np.array([0.0, 0.0, 0.094]), np.array([0.008, 0.04, 0.014]))
 
 #: Capsules of elbow, forearm and wrist: index of the moving link, both ends of the axis in the
@@ -80,7 +80,7 @@ class Spheres:
 
     @classmethod
     def join(cls, parts: Sequence["Spheres"]) -> "Spheres":
-        """Return the spheres of all parts, which have the same frame, as one body."""
+        """Return the spheres of several bodies, given in the same frame, as one body."""
         return cls(np.concatenate([part.centers for part in parts]), np.concatenate([part.radii for part in parts]))
 
 
@@ -108,7 +108,7 @@ def sample_surface_spheres(vertices: Array, faces: npt.NDArray[np.int_], count: 
 
 
 def compute_gripper_corners(hands: Array) -> Array:
-    """Return the corners (n, 32, 3) of four boxes around the open gripper, in the frame of the hand poses (n, 7)."""
+    """Return the corners (n, 32, 3) of the gripper's four boxes at hand link poses (n, 7), in the poses' frame."""
     signs = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
     local = (GRIPPER_BOX_CENTERS[:, None] + signs * GRIPPER_BOX_HALF_SIZES[:, None]).reshape(-1, 3)
     rotations = Rotation.from_quat(hands[:, 3:]).as_matrix()
@@ -166,7 +166,7 @@ def find_closest_points(hand: Array, spheres: Spheres) -> ClosestPoints:
     if length > _MIN_LENGTH:
         direction = direction / length
     else:
-        # No face of the box is a meaningful exit for a center inside it: push from the box center.
+        # The center of the sphere is inside the box: the normal points from it to the center of the box.
         direction = -offset / max(float(np.linalg.norm(offset)), _MIN_LENGTH)
     distance = float(distances[box, sphere] - spheres.radii[sphere])
     return ClosestPoints(distance, hand[:3] + rotation @ on_box, rotation @ direction)
@@ -187,7 +187,7 @@ def compute_arm_clearances(arm: ArmInWorld, joints: Array, spheres: Spheres) -> 
 
 
 def compute_lowest_heights(arm: ArmInWorld, joints: Array) -> Array:
-    """Return the world z (n,) in m of the lowest point of forearm and open gripper at joints (n, 7) in rad."""
+    """Return the world z (n,) in m of the lowest point of arm (elbow to wrist) and open gripper at joints (n, 7)."""
     starts, ends = _arm_segments(arm, joints)
     capsules = (np.minimum(starts[..., 2], ends[..., 2]) - _RADII).min(axis=1)
     return np.asarray(np.minimum(capsules, compute_gripper_corners(arm.compute_hand_poses(joints))[..., 2].min(axis=1)))

@@ -53,7 +53,7 @@ class Obstacle:
         field: Signed distance field of the obstacle.
         base_from_field: (7,) pose (quaternion xyzw) of the field's frame in the robot's base frame.
         padding: Distance from the surface up to which the obstacle has a cost (m).
-        in_tail: Whether the obstacle has a cost in the final approach to a grasp, too, unlike an object to be grasped.
+        in_tail: Whether the obstacle also has a cost in the final approach to a grasp; false for the grasped object.
     """
 
     field: DistanceField
@@ -118,8 +118,8 @@ class ObstacleCost:
     def evaluate_lines(self, start: Array, goals: Array, count: int, tails: npt.NDArray[np.bool_]) -> Array:
         """Return the obstacle costs (g,) of straight joint paths from one start (7,) to goals (g, 7).
 
-        The cost of a path is the sum of proximity cost times workspace speed over all body points at `count`
-        points between start and goal; at points in the mask `tails` (g, count), only obstacles with `in_tail` count.
+        The cost of a path is the sum of proximity cost times workspace speed over all body points, at `count` waypoints
+        between start and goal; at waypoints in the mask `tails` (g, count), only obstacles with `in_tail` count.
         """
         shares = np.arange(count + 1) / (count + 1)
         line = start + shares[:, None, None] * (goals - start)
@@ -162,7 +162,7 @@ class ObstacleCost:
         return self._joint_torques(frames, here, force)
 
     def _workspace_gradient(self, velocity: Array, acceleration: Array, costs: Floats, gradients: Floats) -> Array:
-        """Return the workspace gradients (3, l, w) of the costs of points that move on l links, at w waypoints."""
+        """Return the workspace gradients (3, l, w) of the costs of one point on each of l links, at w waypoints."""
         squared = (velocity**2).sum(axis=0) + _EPSILON
 
         def project(vector: npt.NDArray[np.floating]) -> Array:

@@ -1,4 +1,4 @@
-"""Clearance of robot and human hand: the smallest distance of their surfaces, and margins to required distances."""
+"""Smallest distance between the surfaces of robot and human hand, and its margin over required distances."""
 
 from abc import ABC, abstractmethod
 from pathlib import Path
@@ -20,13 +20,13 @@ class DistanceQuery(ABC):
 
     @abstractmethod
     def read_bounding_spheres(self, urdf: Path) -> dict[int, BoundingSphere]:
-        """Return a sphere around the collision shapes of each link that has some, by link number; -1 is the base."""
+        """Return the bounding spheres of all links with collision shapes, by link number; -1 is the base."""
 
     @abstractmethod
     def measure(self, hand_urdf: Path, robot: list[float], hand: list[float], max_distance: float) -> float:
         """Measure the smallest distance between the surfaces of robot and human hand (m).
 
-        The result is at most `max_distance`, and not above 0 if robot and hand overlap.
+        The result is at most `max_distance`; it is 0 or negative if robot and hand overlap.
 
         Args:
             hand_urdf: Model of the human hand.
@@ -43,9 +43,9 @@ class DistanceQuery(ABC):
 class ClearanceMonitor:
     """Calculator of the smallest distance between a moving Panda and a moving human hand.
 
-    Distances are between collision shapes, and are measured at few times only: spheres around the links rule out
-    most times, and bounds on the motion of the links rule out times near a measured time. The distance query has a
-    simulation of its own, so it does not change the world's state.
+    Distances between collision shapes are slow to measure, so few are: spheres around the links rule out most times,
+    and bounds on the motion of the links rule out times near a measured time. The distance query has a simulation of
+    its own and does not change the world's state.
 
     Args:
         panda_urdf: Model of the robot.
@@ -88,7 +88,7 @@ class ClearanceMonitor:
         smallest, left = _MAX_DISTANCE, np.arange(len(bounds))
         while len(left):
             time = int(left[bounds[left].argmin()])
-            # A lower bound of the distance at that time, if its margin is not below `smallest`.
+            # Larger distances at that time do not change the result.
             limit = smallest + float(needed[time])
             found = max(0.0, self._query.measure(hand_urdf, robot[time].tolist(), hand[time].tolist(), limit))
             smallest = min(smallest, found - float(needed[time]))
@@ -127,7 +127,7 @@ class _MovingSpheres:
             self._rotations = np.concatenate([self._rotations, np.zeros((count, 1, 9))], axis=1)
 
     def bound_motion(self, time: int, others: npt.NDArray[np.int_]) -> Array:
-        """Return upper bounds (k,) in m on the motion of any point of the links from one time to k others, by index."""
+        """Return upper bounds (k,) in m on the motion of the links' points between a time and k others, by index."""
         shifts = np.linalg.norm(self.centers[others] - self.centers[time], axis=-1)
         # A rotation by an angle moves a point at distance r by 2 r sin(angle / 2).
         swings = np.linalg.norm(self._rotations[others] - self._rotations[time], axis=-1) / np.sqrt(2.0)

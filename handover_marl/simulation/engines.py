@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from handover_marl.simulation.mujoco.grasp_validation import GraspValidator
 
 EXACT, FAST, MUJOCO = "exact", "fast", "mujoco"
-#: "exact" equals HandoverSim's PyBullet simulation bit for bit; "fast" is PyBullet without the bodies that cannot touch
-#: anything; "mujoco" is MuJoCo.
+#: "exact" equals HandoverSim's PyBullet simulation bit for bit; "fast" is PyBullet that simulates hand and objects only
+#: while the robot is near them; "mujoco" is MuJoCo.
 PHYSICS = (EXACT, FAST, MUJOCO)
 
 THREADS, WARP = "threads", "warp"
@@ -51,7 +51,7 @@ def list_available_physics() -> tuple[str, ...]:
 
 
 def make_world(physics: str, config: PhysicsConfig, window: bool = False) -> World:
-    """Create a simulated world that has no scene yet.
+    """Create a simulated world without a scene; `World.reset` loads one.
 
     Args:
         physics: Kind of physics, one of `PHYSICS`.
@@ -79,8 +79,8 @@ class BatchBackend:
     """Engine and device that simulate the worlds of a batch.
 
     Attributes:
-        name: "threads" for MuJoCo on the processor, or "warp" for MuJoCo Warp.
-        device: "cpu", or "cuda" for a GPU, which needs "warp". MuJoCo Warp on "cpu" is for tests.
+        name: "threads" for MuJoCo on the CPU, or "warp" for MuJoCo Warp.
+        device: "cpu", or "cuda" for a GPU, which needs "warp"; "warp" on "cpu" is for tests only.
     """
 
     name: str = THREADS
@@ -113,7 +113,7 @@ def check_backend(backend: BatchBackend) -> None:
 
 
 def make_worlds(config: PhysicsConfig, count: int, backend: BatchBackend, arrays: ArrayFactory) -> Worlds:
-    """Create `count` worlds that MuJoCo or MuJoCo Warp simulates together; they have no scenes yet.
+    """Create `count` worlds without scenes, which MuJoCo or MuJoCo Warp simulates together.
 
     Args:
         config: Constants of the worlds.

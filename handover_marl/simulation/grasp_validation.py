@@ -9,8 +9,8 @@ class GraspValidationConfig:
 
     Attributes:
         close_time: Time for which the fingers close (s), as in HandoverSim's baselines.
-        shake_time: Duration of each of six pushes (s).
-        acceleration: Acceleration of each push (m/s^2), 1.5 times gravity.
+        shake_time: Duration of each of six pushes, one along each axis and direction (s).
+        acceleration: Acceleration of each push (m/s^2); the default is 1.5 times gravity.
         max_translation: Largest displacement of the object's point between the finger pads, relative to the fingers
             (m), while they close, and again while the object is shaken.
         max_rotation: Largest rotation of the object (rad) while the fingers close, and again while it is shaken.

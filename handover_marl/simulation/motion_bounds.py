@@ -11,17 +11,16 @@ from handover_marl.geometry.poses import transform_points
 
 Array = npt.NDArray[np.float64]
 
-# Distance (m) of two spheres below which their bodies count as near. Bullet searches contacts
-# within 2 cm.
+# Distance of two spheres below which their bodies count as near (m); Bullet searches contacts within 2 cm.
 _MARGIN = 0.03
 
 
 class RobotMotionBounds:
     """Bounds on the motion of a Panda's links, from spheres around their collision shapes.
 
-    A joint moves straight to its target, by a fixed ratio of its error in every step. While its motor is too weak to
-    reverse it, the joint may also move on at its speed. So no point of the arm moves farther than the sum over all
-    joints of both motions times the reach of the links that the joint carries.
+    In every step, a joint moves towards its target by a fixed fraction of its error. While its motor is too weak to
+    stop it, it may also move on at its present speed. No point of the arm therefore moves farther than the sum over
+    all joints of both motions, times the largest distance of the links that a joint carries from that joint.
 
     Args:
         tree: Kinematic tree of the robot.
@@ -82,8 +81,7 @@ class RobotMotionBounds:
         # Bodies are mostly so far away that one bound over all steps suffices.
         start = centers[..., :1, :, :]
         with np.errstate(invalid="ignore"):
-            # A body that appears or disappears is at infinity on the way: inf - inf is nan, which
-            # is not far.
+            # An absent body is at infinity. If it appears or disappears, inf - inf is nan, which does not count as far.
             body_moved = _norm(centers - start).max(axis=-2, keepdims=True)
             far = self._distances(start, robot) - radii[..., None, :] - body_moved - moved[..., -1:, None] >= _MARGIN
         if far.all():

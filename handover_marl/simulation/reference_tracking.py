@@ -1,4 +1,4 @@
-"""Motion of hand and objects without contact: joints whose motors track a reference.
+"""Reference motions (joint targets) of hand and objects, and the motion of joints that track them without contact.
 
 Row k is step k of the current reference motion; row -1 is the state before its first step.
 """
@@ -36,7 +36,7 @@ class ReferenceMotion:
     hand_present: AnyArray
 
     def select_rows(self, rows: AnyArray) -> "ReferenceMotion":
-        """Return the joint targets of some of r worlds; `rows` are the indices of these worlds."""
+        """Return the joint targets of the worlds whose indices are `rows`."""
         return ReferenceMotion(self.objects[rows], self.hand[rows], self.hand_present[rows])
 
     def select(self, number: int, n_objects: int) -> "ReferenceMotion":
@@ -65,8 +65,8 @@ def select_keypoint_links(joints: Sequence[int]) -> list[int]:
     """Return the numbers of the links whose origins are the 16 keypoints of a human hand: wrist and 15 finger joints.
 
     Args:
-        joints: Numbers of the child links of the 51 moving joints. Every third finger joint is the
-            first of three axes, and the origin of its link frame is that of the joint.
+        joints: Numbers of the child links of the 51 moving joints. A finger joint consists of three of them, one for
+            each axis; the link of the first has its origin at the joint.
     """
     return [WRIST_LINK, *joints[BASE_JOINTS::3]]
 
@@ -116,14 +116,14 @@ class BodyTrajectory:
         return joints
 
 
-#: A body, its joint targets (n, d) in n coming steps (m, rad), and whether it is present then (n,), None for always.
+#: Body, its joint targets (n, d) in the next n steps (m, rad), and whether it is present in them (n,), None for always.
 TrackedReference = tuple[BodyTrajectory, npt.NDArray[np.float32], npt.NDArray[np.bool_] | None]
 
 
 def track_references(references: Sequence[TrackedReference]) -> None:
-    """Compute and store the trajectories of bodies under new reference motions, which follow their current ones.
+    """Compute and store the trajectories of bodies under new reference motions, from the end of the current ones on.
 
-    The trajectories do not depend on how steps are divided into calls, nor on the other bodies.
+    A trajectory does not depend on how its steps are divided into calls, nor on the other bodies.
     """
     moving: dict[int, list[tuple[BodyTrajectory, int, Array, Array]]] = {}
     for body, targets, presence in references:
@@ -141,7 +141,7 @@ def track_references(references: Sequence[TrackedReference]) -> None:
                 # A body appears at its target.
                 start, part = wanted[first] if position is None else position, wanted[first:last]
                 if (part == start).all():
-                    # The recurrence gives the same for joints at rest, only slower.
+                    # For joints at rest, the loop below would give the same values, only slower.
                     joints[first + 2 : last + 2] = part
                 else:
                     moving.setdefault(len(part), []).append((body, first + 2, start, part))

@@ -1,4 +1,4 @@
-"""Interface of the simulated worlds: robot, hand and objects, and their contacts, without protocol rules."""
+"""Interface of the simulated worlds, which have robot, hand, objects and contacts, but no rules of the task."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -37,7 +37,7 @@ NO_POINTS: Points = np.zeros((0, 3), dtype=np.float32)
 class Contacts(NamedTuple):
     """Contacts of robot, hand and objects after one physics step.
 
-    A contact counts if its normal force is above zero.
+    Only contacts with a normal force above zero count. The target object is the one that is handed over.
 
     Attributes:
         robot_touches_hand: Whether the Panda touches the human hand.
@@ -101,10 +101,10 @@ class RolloutContacts(NamedTuple):
 
 
 class RolloutEnd(NamedTuple):
-    """Part of a rollout of n worlds that counts, by the rules of the task.
+    """Steps of a rollout of n worlds that count by the rules of the task: those up to the first release or end.
 
     Attributes:
-        steps: Number (n,) of steps up to the first release or end of each world; 0 for worlds that had ended before.
+        steps: Number (n,) of steps that count in each world; 0 for worlds that had ended before.
         released: Whether the object is released in the last of these steps, (n,).
         ended: Whether each world has ended, (n,).
     """
@@ -114,8 +114,8 @@ class RolloutEnd(NamedTuple):
     ended: AnyArray
 
 
-#: Function that applies the task's rules: from the indices (n,) of worlds in a rollout and their contacts in k steps to
-#: the part of these steps that counts.
+#: Function that applies the task's rules: its arguments are the indices (n,) of worlds in a rollout and their contacts
+#: in k steps, its result says which of these steps count.
 JudgeFunction = Callable[[AnyIndices, RolloutContacts], RolloutEnd]
 
 
@@ -233,13 +233,13 @@ class World(ABC):
         """Return the contacts of robot, hand and objects in the last physics step.
 
         Args:
-            released: Whether the human has released the object; its contacts with table and other objects are read only
-                then.
+            released: Whether the person has released the target object. Its contacts with table and other objects are
+                read only then.
         """
 
     @abstractmethod
     def release_target(self) -> None:
-        """Release the target object from the human hand, from the next step on."""
+        """Release the target object from the human hand before the next step."""
 
     @abstractmethod
     def read_state(self) -> WorldState:
@@ -282,7 +282,7 @@ class World(ABC):
         self._scene = self._renderer = None
 
     def _get_scene_renderer(self) -> "SceneRenderer":
-        """Return the renderer of the current scene in a physics client of its own, made at the first image of a scene.
+        """Return the renderer of the current scene, with a physics client of its own; make it at the first image.
 
         Raises:
             ResetNeededError: There is no scene yet.
@@ -314,7 +314,7 @@ class RolloutWorld(World):
         judge: JudgeFunction,
         rules: ProtocolConfig,
     ) -> npt.NDArray[np.int_]:
-        """Simulate n worlds together for some steps, or to their ends; results do not depend on the other worlds.
+        """Simulate n worlds together for some steps, or until their episodes end; worlds do not influence each other.
 
         Args:
             worlds: Worlds of running episodes in one engine, with the reference motions of these steps set.

@@ -1,4 +1,4 @@
-"""Worlds of one engine that are simulated together, with their state and motion as arrays."""
+"""Batch of worlds that one engine simulates together; arrays have one row for each world."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -13,14 +13,14 @@ from handover_marl.simulation.world import Contacts, JudgeFunction, RolloutWorld
 
 
 class Worlds(ABC):
-    """Interface of n worlds of one engine that are simulated together.
+    """Interface of a batch of n worlds that one engine simulates together.
 
-    The argument `rows` (r,) of methods has the indices of r of the worlds; other arrays have one row for each of them.
+    Methods apply to the r worlds whose indices are in their argument `rows` (r,); other arrays have r rows.
     """
 
     @abstractmethod
     def reset(self, row: int, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
-        """Load a scene into world `row`; set hand and objects to the only row of `start`, the robot to nine joints."""
+        """Load a scene into world `row`; set hand and objects to `start` (of one row), the robot to `robot_joints`."""
 
     @abstractmethod
     def rollout(
@@ -31,7 +31,7 @@ class Worlds(ABC):
         judge: JudgeFunction,
         rules: ProtocolConfig,
     ) -> AnyIntegers:
-        """Simulate r worlds for all steps of a reference motion, or to their ends.
+        """Simulate r worlds for all steps of a reference motion, or until their episodes end.
 
         Args:
             rows: Indices (r,) of worlds of running episodes.
@@ -49,7 +49,7 @@ class Worlds(ABC):
 
     @abstractmethod
     def release_targets(self, rows: AnyIndices) -> None:
-        """Release the target objects of the worlds `rows` (r,) from the human hands, from the next step on."""
+        """Release the target objects of the worlds `rows` (r,) from the human hands before the next step."""
 
     @abstractmethod
     def read_state(self, rows: AnyIndices) -> WorldState:
@@ -61,7 +61,7 @@ class Worlds(ABC):
 
     @abstractmethod
     def read_contacts(self, row: int, released: bool) -> Contacts:
-        """Return the last step's contacts of world `row`; the target's with table and objects only if `released`."""
+        """Return the contacts of world `row` in its last step, as `World.read_contacts` does."""
 
     @abstractmethod
     def close(self) -> None:
@@ -69,7 +69,7 @@ class Worlds(ABC):
 
 
 class HostWorlds(Worlds):
-    """Worlds on the processor, with NumPy arrays.
+    """Batch of worlds on the CPU, with NumPy arrays.
 
     Args:
         worlds: The worlds, all of one engine.
@@ -80,7 +80,7 @@ class HostWorlds(Worlds):
         self._n_objects = [0] * len(worlds)
 
     def reset(self, row: int, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
-        """Load a scene into world `row`; set hand and objects to the only row of `start`, the robot to nine joints."""
+        """Load a scene into world `row`; set hand and objects to `start` (of one row), the robot to `robot_joints`."""
         self._worlds[row].reset(scene, start, robot_joints)
         self._n_objects[row] = start.objects.shape[1]
 
@@ -92,14 +92,14 @@ class HostWorlds(Worlds):
         judge: JudgeFunction,
         rules: ProtocolConfig,
     ) -> AnyIntegers:
-        """Simulate r worlds for all steps of `reference`, or to their ends; return the numbers (r,) of steps."""
+        """Simulate r worlds for all steps of `reference`, or until their episodes end; return step counts (r,)."""
         worlds = [self._worlds[row] for row in rows.tolist()]
         for number, row in enumerate(rows.tolist()):
             worlds[number].set_reference(reference.select(number, self._n_objects[row]))
         return type(worlds[0]).rollout(worlds, robot_targets.tolist(), reference.hand.shape[1], judge, rules)
 
     def release_targets(self, rows: Indices) -> None:
-        """Release the target objects of the worlds `rows` (r,) from the human hands, from the next step on."""
+        """Release the target objects of the worlds `rows` (r,) from the human hands before the next step."""
         for row in rows.tolist():
             self._worlds[row].release_target()
 
@@ -115,7 +115,7 @@ class HostWorlds(Worlds):
         )
 
     def read_contacts(self, row: int, released: bool) -> Contacts:
-        """Return the last step's contacts of world `row`; the target's with table and objects only if `released`."""
+        """Return the contacts of world `row` in its last step, as `World.read_contacts` does."""
         return self._worlds[row].read_contacts(released)
 
     def close(self) -> None:

@@ -1,1 +1,1 @@
-"""Receiver `reactive`, which uses the true poses of object and hand and moves with the person."""
+"""Receiver `reactive`, which follows the object that the person moves, by the true poses of object and hand."""

@@ -23,12 +23,12 @@ class GraspSelectorConfig(CheckedConfig):
         max_candidates: Maximum number of grasps for which inverse kinematics is solved.
         desired_clearance: Desired clearance of the gripper to the person's hand (m).
         clearance_cost: Cost of clearance below `desired_clearance` (s/m).
-        min_clearance: Initial minimum clearance of a grasp to the person's hand (m).
+        min_clearance: Initial minimum clearance of a grasp to the person's hand (m), lowered while no grasp has it.
         hard_min_clearance: Lower bound of the decreasing minimum clearance (m).
-        offset_delay: Time without a good grasp after which offset grasps are added (s).
+        offset_delay: Time without a good grasp after which offset grasps, shifted and tilted copies, are added (s).
         offset_cost: Additional cost of an offset grasp, which is not validated (s).
-        partial_hold_cost: Cost of a grasp that holds the object from none of the offset poses in
-            its validation (s); proportionally less for a grasp that holds from some.
+        partial_hold_cost: Cost of a grasp that has failed all its validations (s), proportionally less for one that has
+            passed some.
     """
 
     default_limits: ClassVar[tuple[float, float]] = (0.0, math.inf)
@@ -45,19 +45,19 @@ class GraspSelectorConfig(CheckedConfig):
 
 @dataclass(frozen=True)
 class ApproachConfig(CheckedConfig):
-    """Configuration of the approach from the standoff and of closing the fingers.
+    """Configuration of the approach from the standoff pose, and of closing the fingers.
 
     Axial distances are measured along the approach axis of the gripper, lateral ones across it.
 
     Attributes:
-        standoff: Distance of the standoff pose, at which the gripper waits for the object to rest, from the grasp (m).
+        standoff: Distance from the standoff pose, at which the gripper waits for the object to rest, to the grasp (m).
         lateral_tolerance: Maximum lateral distance at the grasp (m).
         rotation_tolerance: Maximum rotation error at the grasp (rad).
         speed: Maximum speed along the approach axis (m/s).
         max_object_speed: Speed of the object above which the gripper does not come closer (m/s).
         max_held_still_speed: Value of `max_object_speed` for an object that is held almost still in the air (m/s).
-        close_speed: Maximum speed of the object at which the fingers close (m/s), relative to the
-            gripper if the object is held almost still in the air.
+        close_speed: Maximum speed of the object at which the fingers close (m/s); it is relative to the gripper if the
+            object is held almost still in the air.
         close_period: Control period while the fingers close (s).
     """
 
@@ -98,8 +98,8 @@ class ReactiveConfig(CheckedConfig):
         min_lift: Distance from its first position above which an object counts as lifted (m).
         n_surface_spheres: Number of spheres that approximate an object.
         surface_radius: Radius of the spheres that approximate an object (m).
-        n_surface_points: Number of random points on an object's surface from which finger contacts
-            are computed, in addition to the vertices of the mesh.
+        n_surface_points: Number of random points on an object's surface from which, with the vertices of its mesh,
+            finger contacts are computed.
         selection: Configuration of grasp selection.
         preparation: Configuration of tilted copies and of the validation of known grasps.
         approach: Configuration of the approach and of closing the fingers.
@@ -127,9 +127,9 @@ class ReactiveConfig(CheckedConfig):
 
 
 def apply_risk(config: ReactiveConfig, risk: float) -> ReactiveConfig:
-    """Return a copy of `config`, which is for a risk of 0.5, for another trade-off of success rate and speed.
+    """Return a copy of `config` with another trade-off between success rate and speed.
 
-    The risk is a number from 0 (approaches slowly, and only objects at rest) to 1 (fastest).
+    The risk is a number from 0 (approach slowly, and only objects at rest) to 1 (fastest); that of `config` is 0.5.
 
     Raises:
         OptionError: `risk` is not a number from 0 to 1.

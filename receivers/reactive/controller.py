@@ -1,4 +1,4 @@
-"""State machine of a handover (wait, approach, close, back out, retreat), and base class of its receivers."""
+"""State machine of a handover (wait, approach, close, back out, retreat), and base class of receivers with it."""
 
 from enum import Enum
 
@@ -23,8 +23,8 @@ from handover_marl.receivers.reactive.selector import GraspGoal, GraspSelector
 
 Array = npt.NDArray[np.float64]
 
-# Times after the start of closing: until the person must have released the object, and from which empty fingers are
-# noticed (s).
+# Times after the fingers have begun to close (s): the latest for the person's release, and the first at which closed
+# fingers count as empty.
 _CLOSE_TIMEOUT, _EMPTY_DELAY = 0.8, 0.35
 # Gain with which the gripper follows the person's hand while the fingers close (1/s), and maximum joint acceleration
 # (rad/s^2), high enough that the gripper stops before the fingers push the object.
@@ -34,7 +34,7 @@ _BACKOUT_DISTANCE, _BACKOUT_SPEED, _BACKOUT_TIMEOUT, _OPENING_TIME = 0.1, 0.3, 1
 #: Amount by which joint limits are narrowed on each side (rad).
 LIMIT_PADDING = 0.03
 _BACKOUT_ROTATION_WEIGHT = 0.3  # m/rad
-_BACKOUT_END = 0.3  # share of the distance that may remain
+_BACKOUT_END = 0.3  # share of the distance that may remain at the end
 
 
 class ReactivePhase(Enum):
@@ -61,8 +61,8 @@ class HandoverController:
     """State machine of the receiver `reactive` during one episode.
 
     Args:
-        motion: Controller of the motion, whose estimate of the scene is updated before each step.
-        selector: Grasp selector, whose candidates are set before each step.
+        motion: Controller of the motion; the caller updates its estimate of the scene before each step.
+        selector: Grasp selector; the caller sets its candidates before each step.
         goal: (3,) goal of the hand link's position in the world (m).
         wait: Time at the waiting pose (s).
 
@@ -160,19 +160,19 @@ class HandoverController:
         return motion.move_closed(velocity, _CLOSE_ACCELERATION)
 
     def _catch(self) -> Action:
-        """Return the action that closes the fingers around an object that was released too early and falls."""
+        """Return the action that closes the fingers around a falling object that the person has released too early."""
         config, scene, motion = self._config.approach, self._scene, self._motion
         chosen, period = self._selector.chosen, config.close_period
         if chosen is None or not self._approach_controller.is_catchable(chosen):
             return self._start_backing_out()
         motion.servo.period = period
-        # It may spin, which the gripper cannot follow.
+        # The object may spin, which the gripper cannot follow.
         falling, _ = scene.motion.predict_point_twist(scene.object_pose[:3], period)
         velocity = motion.arm.compute_joint_velocity(scene.arm_joints, falling, np.zeros(3), ROTATION_WEIGHT, period)
         return motion.catch(velocity, _CLOSE_ACCELERATION)
 
     def _start_backing_out(self) -> Action:
-        """Return the first action of backing out after a missed grasp, whose cost is higher for a while."""
+        """Return the first action of backing out after a missed grasp, and increase the grasp's cost for a while."""
         scene = self._scene
         self._selector.give_up(scene.time + FAILED_DURATION)
         self.phase, self._phase_start = ReactivePhase.BACK_OUT, scene.time
@@ -246,7 +246,7 @@ class ControllerReceiver(Receiver):
         return self.servo.period
 
     def start_episode(self, scene: SceneEstimate) -> None:
-        """Reset selector and motor control, and create the controller of an episode with this estimate of the scene."""
+        """Reset selector and servo, and create the controller of an episode, which reads this estimate of the scene."""
         self.servo.reset()
         self.selector.reset()
         motion, goal = MotionController(self.arm, self.servo, scene), np.array(self.context.protocol.goal_center)

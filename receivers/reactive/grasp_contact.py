@@ -1,7 +1,7 @@
 """Contacts of the finger pads with a grasped object.
 
-An object that is held by the very tips or edges of the fingers springs away within a few hundredths of a second when
-the person releases it, even if the grasp has passed its validation.
+An object that is held by the very tips or edges of the fingers slips out of them within a few hundredths of a second
+after the person has released it, even if the grasp has passed its validation.
 """
 
 import functools
@@ -27,11 +27,10 @@ from handover_marl.receivers.reactive.grasps import (
 
 Array = npt.NDArray[np.float64]
 
-# Extent of the fingers in the hand link's frame (m): tip and root along z, half width along x, and
-# inner side along y when they are open.
+# Fingers in the hand link's frame (m): tip along z, half width along x, root along z, inner side along y when open.
 _TIP_Z, _HALF_WIDTH, _ROOT_Z, _OPEN_Y = 0.1126, 0.0105, 0.058, 0.041
-# Costs of a grasp that has failed its validation, and of one that holds the object by the tip or edge of a finger (s);
-# distance of contacts from the tip and edges of a pad at which the latter vanishes (m).
+# Costs (s) of a grasp that has failed its validation, and of one that holds the object by the tip or edge of a finger;
+# distance of contacts from the tip and edges of a pad from which on the latter is 0 (m).
 _UNSTABLE_COST, _FINGERTIP_COST, _DESIRED_PAD_MARGIN = 5.0, 4.0, 0.008
 # Minimum distance of an offset grasp's contacts from the tip and edges of a finger pad (m).
 _MIN_OFFSET_PAD_MARGIN = 0.004
@@ -48,7 +47,7 @@ class GraspableObject:
     Attributes:
         grasps: Grasps at which the flange behind the hand link does not touch the object.
         pad_margins: (n,) margin of each grasp: smallest distance of its contacts from tip and edges of the pads (m).
-        surface: Spheres that approximate the object's surface coarsely.
+        surface: Spheres that coarsely approximate the object's surface.
         points: (k, 3) dense points on the object's surface (m).
         center: (3,) center of the object's bounding box (m).
     """
@@ -63,7 +62,7 @@ class GraspableObject:
 def load_graspable_object(context: PolicyContext, object_name: str, config: ReactiveConfig) -> GraspableObject:
     """Load the surface of an object class and its validated grasps, of which there may be none; cached.
 
-    Known grasps are validated and improved in simulation, for minutes the first time.
+    Known grasps are validated and improved in simulation, which may take minutes the first time.
 
     Raises:
         SimulationError: A model cannot be loaded.

@@ -1,9 +1,9 @@
-"""Known grasps of an object: validated poses, tilted copies, and offset copies.
+"""Known grasps of an object, their tilted and offset copies, and their validation in simulation.
 
-Known grasps and their tilted copies are validated in a simulation of the gripper alone, in three steps. The gripper
-closes at the grasp and shakes the object. The grasp is moved along its approach axis towards the object, as far as the
-open gripper does not collide. The gripper closes there on an object that a person holds, and the person releases the
-object. Validation records of DexYCB's objects and of the library's objects ship with the library; they were made in
+Known grasps and their tilted copies are validated in a simulation of gripper and object, in three steps. First, the
+gripper closes at the grasp and shakes the object. Then the grasp is moved along its approach axis towards the object,
+as far as the open gripper does not collide. There, the gripper closes on an object that a person holds and then
+releases. Validation records of DexYCB's objects and of the library's objects ship with the library; they were made in
 PyBullet. MuJoCo makes the records of other objects, which are stored in the user's cache folder. A hash of the object's
 files, its known grasps and the robot's model identifies a record.
 
@@ -59,9 +59,9 @@ _OFFSET_OBJECT_CLEARANCE, _N_CHECKED_POINTS, _MIN_POINTS_BETWEEN_PADS, _MAX_OFFS
 # Increased whenever the same files lead to other grasps.
 _VERSION = 3
 _DESCRIPTION = "record of validated grasps"
-# Minimum distance of a tilted copy from another grasp (m), with the weight of rotations (m/rad).
+# Minimum distance of a tilted copy from all other grasps (m), and weight of rotations in it (m/rad).
 _MIN_DISTANCE, _ROTATION_WEIGHT = 0.035, 0.1
-# Distance beyond an advance in which the open gripper must not collide with the object (m).
+# Additional distance, beyond an advance, at which the open gripper must not collide with the object (m).
 _MIN_ADVANCE_CLEARANCE = 0.004
 _HAND_FROM_GRIPPER = invert_pose(np.array(GRIPPER_FROM_HAND))
 
@@ -128,7 +128,7 @@ class ValidatedGrasps:
 
 
 def grasps_from_record(record: ValidationRecord, known: Array, config: GraspPreparationConfig) -> ValidatedGrasps:
-    """Return the n grasps, with success rates, that a validation record (n, 4) of known grasps (k, 7) describes."""
+    """Return the n grasps and success rates that a validation record (n, 4) of known grasps (k, 7) describes."""
     copy, stable, advance, kept = np.asarray(record, dtype=np.int64).T
     n_shakes, n_releases = 1 + len(config.lateral_offsets), 1 + len(config.release_offsets)
     poses = np.concatenate([known, tilt_grasps(known, config)[copy[len(known) :]]])
@@ -143,7 +143,7 @@ def advance_grasp(pose: Array, distance: float) -> Array:
 
 
 def tilt_grasps(known: Array, config: GraspPreparationConfig) -> Array:
-    """Return copies (m, 7) of grasps (n, 7): each is tilted by each of `tilts` about the line between the pads."""
+    """Return copies (m, 7) of grasps (n, 7), each tilted by each of `tilts` about the line between the finger pads."""
     offsets = (make_offset_pose(tilt) for tilt in config.tilts)
     return np.concatenate([np.zeros((0, 7)), *(compose(known, offset) for offset in offsets)])
 
@@ -164,8 +164,8 @@ def perturb_grasps(grasps: ValidatedGrasps, points: Array, hand: Spheres, sweep:
     """Return offset copies of stable grasps that keep clear of a person's hand and of the object.
 
     Points (k, 3) of the object's surface and the hand are in the object's frame; `sweep` is the length (m) of the
-    straight approach, on which the gripper must keep clear of the hand. The copies are not validated in simulation. The
-    copies are likely to hold, since the object is between the fingers, which close along the line of a validated grasp.
+    straight approach, on which the gripper must keep clear of the hand. The copies are not validated in simulation, but
+    likely to hold, since the object is between the fingers, which close along the line of a validated grasp.
     """
     is_stable = grasps.success_rates > 0.0
     poses, rates = grasps.poses[is_stable], grasps.success_rates[is_stable]
@@ -184,7 +184,7 @@ def perturb_grasps(grasps: ValidatedGrasps, points: Array, hand: Spheres, sweep:
 
 
 def make_offset_pose(tilt: float, lateral: float = 0.0, backward: float = 0.0) -> Array:
-    """Return the pose (7,) of a copy of a grasp in the frame of the grasp, tilted (rad) about the line of the pads.
+    """Return the pose (7,) of a copy of a grasp in the grasp's frame, tilted (rad) about the line between the pads.
 
     The copy is also moved by `lateral` (m) along x, across that line, and by `backward` (m) against the approach.
     """
@@ -196,7 +196,7 @@ def make_offset_pose(tilt: float, lateral: float = 0.0, backward: float = 0.0) -
 def validate_grasps(
     object_urdf: Path, panda_urdf: Path, known: Array, config: GraspPreparationConfig
 ) -> ValidatedGrasps:
-    """Return an object's known grasps, and tilted copies that held the object when shaken, with their success rates.
+    """Return an object's known grasps, and the tilted copies that hold a shaken object, with their success rates.
 
     Known grasps that failed are kept with a success rate of 0. The returned grasps are moved along their approach axis
     (z of the hand link) towards the object, as far as the open gripper does not collide.
@@ -252,8 +252,7 @@ def get_validation_record_path(
     object_urdf: Path, panda_urdf: Path, known: Array, config: GraspPreparationConfig
 ) -> Path:
     """Return the path of the cache file for a validation of known grasps; its stem is the name of a shipped record."""
-    # The fingers of another robot have another mass and friction; the folder of its meshes has no
-    # influence on the outcome.
+    # Another robot may have other masses and friction of the fingers; the folder of its meshes has no influence.
     robot = re.sub(rb'filename="[^"]*/', b'filename="', read_plain_file(panda_urdf, MAX_URDF_BYTES))
     key = f"{_VERSION} {_make_preparation_key(config)}".encode()
     rounded = np.round(known, 6).astype(np.float32).tobytes()
@@ -303,7 +302,7 @@ def _simulate_grasps(
 
 
 def _count_stable(validator: "GraspValidator", pose: Array, config: GraspPreparationConfig) -> int:
-    """Return at how many poses, a grasp and its `lateral_offsets`, a shaken object is held; 0 if not at the grasp."""
+    """Count the poses, of a grasp and its `lateral_offsets`, that hold a shaken object; 0 if the grasp does not."""
     if not validator.is_stable(_gripper_matrix(pose)):
         return 0
     moved = [compose(pose, np.array([*offset, 0.0, 0.0, 0.0, 1.0])) for offset in config.lateral_offsets]
@@ -311,7 +310,7 @@ def _count_stable(validator: "GraspValidator", pose: Array, config: GraspPrepara
 
 
 def _find_advance(validator: "GraspValidator", pose: Array, config: GraspPreparationConfig) -> int:
-    """Return the number, from 1, of the first of `advances` of a grasp (7,) without a collision; 0 if all collide."""
+    """Return the number, from 1, of the first of `advances` by which a grasp (7,) does not collide; 0 if all do."""
     for number, distance in enumerate(config.advances, start=1):
         deeper = advance_grasp(pose, distance + _MIN_ADVANCE_CLEARANCE)
         if validator.is_collision_free(_gripper_matrix(deeper)):
@@ -320,7 +319,7 @@ def _find_advance(validator: "GraspValidator", pose: Array, config: GraspPrepara
 
 
 def _count_kept(validator: "GraspValidator", pose: Array, config: GraspPreparationConfig) -> int:
-    """Return at how many poses, a grasp and its `release_offsets`, a released object stays; 0 if not at the grasp."""
+    """Count the poses, of a grasp and its `release_offsets`, that keep a released object; 0 if the grasp does not."""
     offsets = np.array([(0.0, 0.0, 0.0), *config.release_offsets])
     moved = compose(pose, np.concatenate([offsets, np.tile([0.0, 0.0, 0.0, 1.0], (len(offsets), 1))], axis=1))
     kept = 0

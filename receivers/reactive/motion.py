@@ -29,13 +29,13 @@ ROTATION_WEIGHT = 0.1
 # Region before a grasp from which the gripper moves in a straight line relative to the object: axial distance beyond
 # the standoff, lateral distance (m) and rotation error (rad). Axial distances are along the gripper's approach axis.
 _STRAIGHT_MARGIN, _STRAIGHT_LATERAL, _STRAIGHT_ROTATION = 0.05, 0.06, 0.5
-# Region in which the selected grasp is kept, and lateral distance within which the object is between the fingers at
-# half of its axial distance, so that the gripper does not go back to correct its pose (m, rad).
+# Region around the selected grasp in which no other is selected (m, m, rad), and lateral distance within which, at less
+# than half of that axial distance, the object is between the fingers (m): the gripper then does not go back to align.
 _COMMIT_DISTANCE, _COMMIT_LATERAL, _COMMIT_ROTATION, _ENCLOSED_LATERAL = 0.06, 0.03, 0.3, 0.015
 # Increase of the lateral and rotation tolerances per axial metre before the grasp (1, rad/m).
 _LATERAL_FUNNEL, _ROTATION_FUNNEL = 0.3, 1.0
-# Gain on the remaining joint error (1/s), maximum joint speed besides the one that follows the object (rad/s), and
-# maximum change of the seed of inverse kinematics towards the selected configuration (rad).
+# Gain on the remaining joint error (1/s), maximum joint speed in addition to the one that follows the object (rad/s),
+# and maximum change of the seed of inverse kinematics towards the selected configuration (rad).
 _POSITION_GAIN, _MAX_JOINT_SPEED, _MAX_POSTURE_CHANGE = 20.0, 1.3, 0.05
 # Axial distance from the grasp at which the fingers close (m), and deceleration before the grasp (m/s^2).
 _AXIAL_TOLERANCE, _DECELERATION = 0.006, 2.0
@@ -95,7 +95,7 @@ class MotionController:
         return self.move_closed(self._separate(velocity, self._config.hand_clearance, leaving=True))
 
     def catch(self, velocity: Array, acceleration: float) -> Action:
-        """Return the action with joint velocities (7,) (rad/s) and closing fingers for an object that falls.
+        """Return the action with joint velocities (7,) (rad/s) and closing fingers that catches a falling object.
 
         The action keeps clear of the person's hand; `acceleration` is the maximum joint acceleration (rad/s^2).
         """
@@ -190,7 +190,7 @@ class ApproachController:
         self._check_progress(axial + lateral)
         is_at_grasp = abs(axial) < factor * _AXIAL_TOLERANCE and lateral < factor * config.lateral_tolerance
         if scene.is_known_released:
-            # It falls: only fingers that are around it already can catch it.
+            # The object falls: only fingers that are around it already can catch it.
             return goal if self.is_catchable(goal) else self._approach_straight(goal, 0.0)
         is_slow = self._compute_object_speed(error[:3]) < factor * config.close_speed
         if is_slow and is_at_grasp and rotation < factor * config.rotation_tolerance:
@@ -215,7 +215,7 @@ class ApproachController:
         return scene.motion.speed
 
     def _select_goal(self) -> GraspGoal | None:
-        """Return the grasp to approach, the previous one while the fingers are close to it; None if there is none."""
+        """Return the grasp to approach: the previous one while the fingers are close to it; None if there is none."""
         scene, chosen = self._scene, self._selector.chosen
         if chosen is not None:
             error = self._selector.compute_pose_in_grasp(chosen, scene.object_pose, scene.gripper_pose)
@@ -252,8 +252,8 @@ class ApproachController:
         config, scene, arm = self._config, self._scene, self._motion.arm
         back = np.array([0.0, 0.0, -depth, 0.0, 0.0, 0.0, 1.0])
         pose = compose(self._selector.compute_grasp_pose(goal, scene.object_pose), back)
-        # The seed is moved slightly towards the selected configuration: from the present one, joint
-        # limits may be in the way, and to go there at once would swing the hand link aside.
+        # The seed is the present configuration, moved slightly towards the selected one: without this, joint limits may
+        # be in the way, and a larger motion at once would swing the hand link aside.
         share = depth / config.standoff
         change = goal.grasp_joints + share * (goal.standoff_joints - goal.grasp_joints) - scene.arm_joints
         scale = _MAX_POSTURE_CHANGE / max(float(np.abs(change).max()), _MAX_POSTURE_CHANGE)

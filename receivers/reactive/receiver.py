@@ -17,15 +17,14 @@ class ReactiveReceiver(ControllerReceiver):
     While the person lifts the object, the gripper moves to a standoff in front of a grasp at the predicted handover
     pose. It approaches the grasp in a straight line relative to the moving object, closes the fingers, backs out and
     tries again if the fingers hold nothing, and carries the object to the goal once the person has released it.
-    Decisions depend on the motion of object and hand, the selected grasp, and grasps that failed.
 
     Args:
         context: The robot, the objects and their grasps.
         wait: Time at the waiting pose (s).
         risk: Trade-off between success rate (0) and speed (1).
         config: Configuration of the receiver for a risk of 0.5.
-        options: Other values of numbers in the configuration, such as `approach_standoff=0.1`, which do not
-            depend on `risk`; see `override_options`.
+        options: Numbers of the configuration, such as `approach_standoff=0.1`, which `risk` does not change; see
+            `override_options`.
 
     Raises:
         OptionError: `wait` or `risk` is out of range, or an option is unknown.

@@ -28,22 +28,22 @@ _DIRECTIONS = np.array(
 _ROTATION_SHARES = (0.0, 0.25, 0.5, 1.0)
 # Shares of the path at which clearances are checked.
 _CHECKED_SHARES = np.array([0.35, 0.7, 1.0])
-# The same for other objects, which may be narrow.
+# Shares at which clearances to other objects, which may be narrow, are checked.
 _OBSTACLE_SHARES = np.linspace(0.1, 1.0, 10)
-# Length of the straight path out of the person's hand, on which the motion blends into the one to the goal, and maximum
-# distance of the hand link's final position from the goal (m).
+# Length of the straight path out of the person's hand, during which the motion turns gradually towards the goal, and
+# maximum distance of the hand link's final position from the goal (m).
 _BACKOUT_DISTANCE, _GOAL_RADIUS = 0.05, 0.12
 #: Desired clearance to the person's hand on the path to the goal (m).
 DESIRED_CLEARANCE = 0.02
 # Gain (1/s) and weight (m/rad) of rotations on the straight path out of the hand, and maximum time on it (s).
 _ROTATION_GAIN, _ROTATION_WEIGHT, _BACKOUT_TIMEOUT = 2.0, 0.1, 0.4
-# Number of final configurations whose paths are checked, and minimum joint difference between a newly selected one and
+# Number of final configurations whose paths are checked, and minimum joint difference of a new final configuration from
 # all previous ones (rad).
 _MAX_PATH_CHECKS, _MIN_JOINT_DIFFERENCE = 40, 0.5
 # Time without progress after which another final configuration is selected (s), joint error of one that is reached
 # (rad), and share of its last value below which the remaining joint error counts as progress.
 _STALL_TIMEOUT, _JOINT_TOLERANCE, _PROGRESS_RATIO = 0.6, 0.05, 0.95
-# Radii of column, upper arm and forearm, the lines between base, shoulder, elbow and wrist (m).
+# Radii of base column, upper arm and forearm, around the lines between base, shoulder, elbow and wrist (m).
 _LINK_RADII = np.array([0.1, 0.09, 0.075])
 _SPHERES_PER_LINK = 6
 _SHOULDER, _ELBOW, _WRIST = 1, 3, 4

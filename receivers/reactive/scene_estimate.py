@@ -20,18 +20,18 @@ Array = npt.NDArray[np.float64]
 
 # Factor on tolerances of the approach for an object that is held almost still in the air.
 _HELD_STILL_TOLERANCE_FACTOR = 2.0
-# Maximum decrease of the finger positions per second, as a share of these, of fingers that the object blocks (1/s).
+# Maximum closing speed, as a share of the finger positions, of fingers that the object blocks (1/s).
 _MAX_GRIP_CLOSING_RATE = 3.0
-# Speed of an object relative to the person's hand above which the gripper, which pushes it, follows the hand (m/s).
+# Speed of an object relative to the person's hand (m/s) above which the gripper seems to push it and follows the hand.
 _MAX_RELATIVE_SPEED = 0.25
 # Distance of the object from the hand link below which it is near (m), and speed above which something moves (m/s).
 _NEAR_DISTANCE, _NEAR_SPEED = 0.3, 0.1
-# Time at rest after which an object counts as settled; an object that was not lifted counts as handed over after a time
-# at rest beside a still hand, not before a time of the episode, and without a hand from a time of the episode (s).
+# Time at rest after which an object counts as settled (s). An object that was not lifted counts as offered after a time
+# at rest beside a still hand, from a time of the episode on; without a hand, from another time of the episode on (s).
 _SETTLE_TIME, _STILL_TIME, _STILL_START, _NO_HAND_START = 0.2, 0.6, 1.5, 3.0
-# Distance of the nearest keypoint of a hand that is beside the object, and of objects from the base within reach (m).
+# Maximum distances of the nearest keypoint of a hand that is beside the object, and of obstacles from the base (m).
 _HAND_DISTANCE, _OBSTACLE_REACH = 0.15, 1.1
-# Smallest opening of which a share is closed, and finger position below which the fingers hold nothing (m).
+# Smallest divisor of the closing speed, and finger position below which the fingers hold nothing (m).
 _MIN_OPENING, _EMPTY_FINGER_POSITION = 1e-4, 0.0015
 
 
@@ -88,7 +88,7 @@ class SceneEstimate(ABC):
         return self.motion.predict_point_twist(point, ahead)
 
     def predict_bodies(self, handover_pose: Array, surface: Spheres) -> Spheres:
-        """Return spheres in the world: object and person's hand, moved rigidly to a handover pose, and other objects.
+        """Return spheres in the world: object and person's hand, both moved to a handover pose, and other objects.
 
         The handover pose (7,) (quaternion xyzw) is the object's in the world; `surface` is in the object's frame.
         """
@@ -206,7 +206,7 @@ class PoseSceneEstimate(SceneEstimate):
         return self._is_released
 
     def predict_point_twist(self, point: Array, ahead: float) -> tuple[Array, Array]:
-        """Predict the twist as the base class does; if the gripper pushes the object, use that of the person's hand."""
+        """Predict the twist as the base class does, or return the hand's velocity if the gripper pushes the object."""
         relative = self.motion.latest_velocity - self.person.velocity
         is_held = self.person.spheres is not None and not self._is_released
         if is_held and float(np.linalg.norm(relative)) > _MAX_RELATIVE_SPEED:

@@ -27,8 +27,8 @@ from handover_marl.receivers.reactive.scene_estimate import SceneEstimate
 Array = npt.NDArray[np.float64]
 
 HOME = np.array(WAITING_JOINTS[:7])
-#: Configurations at which inverse kinematics starts: a greedy cover of what the arm reaches quickly
-#: from its waiting pose.
+#: Configurations at which inverse kinematics starts, chosen greedily so that together they lead to most of the poses
+#: that the arm reaches quickly from its waiting pose.
 IK_SEEDS = np.array(
     [
         HOME,
@@ -49,8 +49,8 @@ FALLBACK_IK_SEEDS = np.array(
 )
 _STANDOFF_ITERATIONS, _GRASP_ITERATIONS = 12, 6
 _NO_HAND_CLEARANCE = 0.2  # m
-# Costs, in seconds as the travel time of the arm: of turning the hand link from its waiting pose (s/rad), clearance to
-# other objects and of distance to joint limits below the desired ones (s/m, s/rad), of a path that is not clear, and of
+# Costs, in seconds as the travel time of the arm: of rotating the hand link from its waiting pose (s/rad), of missing
+# clearance to other objects (s/m), of missing distance to joint limits (s/rad), of a path that is not clear (s), and of
 # a grasp that has failed in this episode (s).
 _ROTATION_COST, _OBSTACLE_COST, _LIMIT_MARGIN_COST, _BLOCKED_PATH_COST, _FAILED_COST = 0.5, 100.0, 2.0, 2.0, 10.0
 _DESIRED_OBSTACLE_CLEARANCE, _DESIRED_LIMIT_MARGIN = 0.02, 0.3  # m, rad
@@ -62,9 +62,10 @@ _CLEARANCE_RELAXATION, _UNREACHABLE_RELAXATION = 0.01, 0.3
 # Hold cost above which a selected grasp does not count as good (s), and factor on the number of candidates once offset
 # grasps are added.
 _POOR_HOLD_COST, _OFFSET_CANDIDATE_FACTOR = 1.5, 4
-# Numbers of paths and via points that are checked in a decision, and joint change between standoff and grasp (rad).
+# Maximum numbers of paths and via points that are checked in a decision, and maximum joint change between standoff and
+# grasp (rad).
 _MAX_PATH_CHECKS, _MAX_VIA_POINTS, _MAX_JOINT_CHANGE = 6, 24, 0.8
-# Cost difference for which the selected grasp is replaced (s), and its increase once the gripper is in front of it.
+# Cost difference above which another grasp replaces the selected one, and its increase if the gripper is near it (s).
 _SWITCH_MARGIN, _NEAR_SWITCH_MARGIN = 0.3, 0.5
 # Cost that no sum of other costs reaches: the grasp must not be selected (s).
 _FORBIDDEN = 100.0
@@ -92,7 +93,7 @@ class GraspGoal:
 
 
 class GraspSelector:
-    """Selector of the cheapest reachable grasp, with hysteresis between decisions.
+    """Selector of the cheapest reachable grasp; another one must be clearly cheaper to replace it (hysteresis).
 
     Args:
         arm: Kinematics of the arm.
@@ -103,8 +104,8 @@ class GraspSelector:
         grasps: (n, 7) candidate poses of the hand link in the object's frame, quaternion xyzw.
         surface: Spheres that approximate the object's surface, in the object's frame.
         chosen: Grasp that was selected last; None if there is no selection.
-        failure_reason: Reason for which no grasp could be selected, empty otherwise.
-        failed: Time of the episode (s) until which a failed grasp has a higher cost, by the index of the grasp.
+        failure_reason: Reason why no grasp could be selected; empty after a selection.
+        failed: Times of the episode (s) until which failed grasps have a higher cost, by index of the grasp.
     """
 
     def __init__(self, arm: ArmInWorld, speeds: Array, config: ReactiveConfig) -> None:
@@ -114,7 +115,7 @@ class GraspSelector:
         self.reset()
 
     def reset(self) -> None:
-        """Forget all candidates and failed grasps, at the start of an episode."""
+        """Remove all candidates and failed grasps, at the start of an episode."""
         self.grasps, self._hold_costs = np.zeros((0, 7)), np.zeros(0)
         self.surface = Spheres(np.zeros((1, 3)), np.zeros(1))
         self._object: GraspableObject | None = None
@@ -125,7 +126,7 @@ class GraspSelector:
         self._has_offsets = False
 
     def set_object(self, graspable: GraspableObject) -> None:
-        """Replace the candidates by the grasps of an object and their half turns, and forget failed grasps."""
+        """Replace the candidates by an object's grasps and their half turns about the approach axis; reset failures."""
         self.reset()
         self._object, self.surface = graspable, graspable.surface
         self._add(graspable.grasps, graspable.pad_margins, 0.0)
@@ -135,7 +136,7 @@ class GraspSelector:
 
         Args:
             poses: (n, 7) poses of the hand link in the object's frame, quaternion xyzw.
-            costs: (n,) costs in seconds of arm motion, higher for grasps that may not hold or have failed before.
+            costs: (n,) costs (s), higher for grasps that may not hold or have failed before.
             surface: Spheres that approximate the object, in its frame.
             chosen: Index in `poses` of the grasp that was selected last; None clears the selection.
         """
@@ -145,7 +146,7 @@ class GraspSelector:
             self.chosen = None if chosen is None else replace(self.chosen, number=chosen)
 
     def give_up(self, until: float) -> None:
-        """Increase the cost of the selected grasp until a time (s) and forget the selection."""
+        """Increase the cost of the selected grasp until a time (s) of the episode, and clear the selection."""
         if self.chosen is not None:
             self.failed[self.chosen.number] = until
         self.chosen = None
@@ -197,7 +198,7 @@ class GraspSelector:
         return np.asarray(compose(invert_pose(self.compute_grasp_pose(goal, object_pose)), gripper_pose))
 
     def _add(self, grasps: ValidatedGrasps, pad_margins: Array, cost: float) -> None:
-        """Add candidates with pad margins (n,) in m and their half turns, which have an additional cost (s)."""
+        """Add grasps with pad margins (n,) in m, and their half turns, to the candidates, at an extra `cost` (s)."""
         costs = cost + compute_hold_costs(grasps, pad_margins, self._config)
         self.grasps = np.concatenate([self.grasps, grasps.poses, compose(grasps.poses, np.array(HALF_TURN))])
         self._hold_costs = np.concatenate([self._hold_costs, costs, costs])
@@ -219,7 +220,7 @@ class GraspSelector:
         self.chosen, self.failure_reason = None, reason
 
     def _compute_clearances(self, scene: SceneEstimate) -> Array:
-        """Return the clearances (n,) in m of the gripper at the candidates to the hand, which moves with the object."""
+        """Return the clearances (n,) in m of the gripper to the person's hand at the candidate grasps."""
         human_hand = scene.hand_in_object
         if human_hand is None:
             return np.full(len(self.grasps), _NO_HAND_CLEARANCE)
@@ -242,7 +243,7 @@ class GraspSelector:
         return costs
 
     def _compute_obstacle_costs(self, world: Array, scene: SceneEstimate, handover_pose: Array) -> Array | float:
-        """Return costs (n,) in s of the clearance of grasps (n, 7) in the world to other objects, 0 if none is near."""
+        """Return costs (n,) in s of missing clearance to other objects, for grasps (n, 7); 0 if no object is near."""
         if scene.obstacles is None:
             return 0.0
         near = scene.obstacles.select_within(handover_pose[:3], _GRIPPER_REACH)
@@ -253,7 +254,7 @@ class GraspSelector:
         return np.asarray(_OBSTACLE_COST * missing)
 
     def _select_candidates(self, costs: Array) -> Indices:
-        """Return the indices of the cheapest grasps, or of the next ones after a failed search, and of `chosen`."""
+        """Return the indices of the cheapest grasps, or after a failed search of the next ones, and of `chosen`."""
         order = np.argsort(costs, kind="stable")
         order = order[costs[order] < _FORBIDDEN]
         count = self._config.max_candidates * (_OFFSET_CANDIDATE_FACTOR if self._has_offsets else 1)
@@ -263,7 +264,7 @@ class GraspSelector:
         return numbers
 
     def _compute_costs(self, rough: Array, world: Array, joints: Array, bodies: Spheres) -> tuple[Array, Array, Array]:
-        """Return costs (k,) in s of k grasps, without path costs, and arm joints (k, 7) at their standoffs and at them.
+        """Return costs (k,) in s of k grasps, without path costs, and arm joints (k, 7) at standoffs and at grasps.
 
         `rough` are the costs without inverse kinematics, and `world` (k, 7) the grasps. The arm is at `joints` (7,).
         """
@@ -302,14 +303,14 @@ class GraspSelector:
         return np.asarray((np.abs(standoffs - joints) / self._speeds).max(axis=1))
 
     def _compute_limit_margin_costs(self, standoffs: Array, goals: Array) -> Array:
-        """Return the costs (n,) in s of joint limits that are near to configurations (n, 7) at standoffs or grasps."""
+        """Return the costs (n,) in s of configurations (n, 7) at standoffs or grasps that are near to joint limits."""
         low, high = self._arm.limits
         margins = np.minimum(*(np.minimum(joints - low, high - joints).min(axis=1) for joints in (standoffs, goals)))
         missing = np.maximum(0.0, _DESIRED_LIMIT_MARGIN - margins)
         return np.asarray(_LIMIT_MARGIN_COST * missing)
 
     def _is_arm_clear(self, goals: Array, bodies: Spheres) -> npt.NDArray[np.bool_]:
-        """Return (n,) whether forearm and wrist at configurations (n, 7) keep clear of bodies and table."""
+        """Return a mask (n,) of configurations (n, 7) at which arm (elbow to wrist) is clear of bodies and table."""
         is_clear = compute_arm_clearances(self._arm, goals, bodies) > _ARM_CLEARANCE
         lowest = compute_lowest_heights(self._arm, goals)
         return np.asarray(is_clear & (lowest > TABLE_HEIGHT + _TABLE_CLEARANCE))
@@ -319,7 +320,7 @@ class GraspSelector:
     ) -> int:
         """Return the position in `numbers` of the selected grasp, or of the cheapest one if that is clearly cheaper.
 
-        Adds the costs of blocked paths in place, unless the gripper is near.
+        Costs of blocked paths are added to `costs`, unless the gripper is near the grasp.
         """
         old = None if self.chosen is None else int(np.flatnonzero(numbers == self.chosen.number)[0])
         best = int(np.argmin(costs)) if is_near else self._add_path_costs(costs, standoffs, old, joints, obstacles)
@@ -333,10 +334,10 @@ class GraspSelector:
     def _add_path_costs(
         self, costs: Array, standoffs: Array, old: int | None, joints: Array, obstacles: PathObstacles
     ) -> int:
-        """Add in place the costs of blocked paths to `costs` (k,), for the grasp at position `old` and the cheapest.
+        """Add the costs of blocked paths to `costs` (k,), for the grasp at position `old` and the cheapest ones.
 
         Returns:
-            Position of the cheapest grasp then.
+            Position of the grasp that is the cheapest afterwards.
         """
         checked = set[int]()
         best = int(np.argmin(costs)) if old is None else old

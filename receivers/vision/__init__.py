@@ -1,1 +1,1 @@
-"""Receiver `vision`, which uses only the point clouds of the wrist camera."""
+"""Receiver `vision`, which perceives object and hand only by the wrist camera."""

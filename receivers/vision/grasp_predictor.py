@@ -33,8 +33,8 @@ class GraspPrediction:
     center: Array
 
 
-#: Function from points of the object (n, 3) and of the person's hand (m, 3) in the hand link's frame
-#: (m), the object's velocity (3,) in that frame (m/s) and a random generator to a prediction.
+#: Function that predicts grasps from points of the object (n, 3) and of the person's hand (m, 3), the object's velocity
+#: (3,), all in the hand link's frame (m, m/s), and a random generator.
 GraspPredictor = Callable[[Array, Array, Array, np.random.Generator], GraspPrediction]
 
 

@@ -17,7 +17,7 @@ Array = npt.NDArray[np.float64]
 
 
 class FilterGains(NamedTuple):
-    """Filter gains with which a new camera view corrects the estimated object and grasp.
+    """Filter gains with which a new camera view corrects the estimates of object and grasp.
 
     Attributes:
         position: Share of the error of the predicted object position that is added to the position.
@@ -33,29 +33,29 @@ class FilterGains(NamedTuple):
 # Numbers of points that are matched and that a keyframe keeps, iterations of the registration,
 # share of the closest matches that are used, and number of matches below which it fails.
 _N_MATCHED, _N_KEPT, _N_ITERATIONS, _TRIM_RATIO, _MIN_MATCHES = 200, 500, 4, 0.8, 20
-# Neighbours of a point that define its surface normal.
+# Number of neighbors of a point that define its surface normal.
 _N_NEIGHBORS = 8
 # Relative regularization: directions that the surface does not constrain are not corrected.
 _REGULARIZATION = 0.01
 # Smallest number of object points in a view, below which the object counts as not visible; time without a view after
 # which the tracker is reset at the next view (s).
 _MIN_POINTS, LOST_TIMEOUT = 20, 0.12
-# Candidates: maximum number, minimum predicted quality, and cost of a quality of 1/e (s).
+# Candidates: maximum number, minimum predicted quality q, and factor on their cost -log(q) (s).
 _MAX_GRASPS, _MIN_QUALITY, COST_SCALE = 48, 0.02, 3.0
 # Rotations about the line between the pads (rad) of copies that are added if no candidate is suitable; their cost (s).
 _TILTS, _TILT_COST = (-0.35, 0.35, -0.7, 0.7), 1.5
 # Distance below which two grasps count as the same (m), with the weight of rotations (m/rad); costs of the selected
 # grasp in each view in which it is not predicted, and of a grasp that has failed (s).
 _SAME_DISTANCE, _ROTATION_WEIGHT, _UNSEEN_COST, _FAILED_COST = 0.03, 0.06, 0.1, 10.0
-# Filter gains while the object is far from the gripper; while it is closer than _NEAR_DISTANCE (m), where it hides the
-# person's hand, so that no points are removed from the maps; while the selected grasp is closer than _FINAL_DISTANCE.
+# Filter gains while the object is far from the gripper; while it is closer than _NEAR_DISTANCE (m); and while the
+# selected grasp is closer than _FINAL_DISTANCE (m). A near object hides the hand, so the maps then keep old points.
 _FAR_GAINS, _NEAR_GAINS = FilterGains(0.5, 0.1, 0.4), FilterGains(0.9, 0.1, 0.1)
 _FINAL_GAINS = FilterGains(0.9, 0.1, 0.02)
 _NEAR_DISTANCE, _FINAL_DISTANCE = 0.3, 0.07
 # Registration: maximum distance of matched points (m), shares of matched points below which it has failed and below
 # which a new keyframe is taken, and distance from the predicted center beyond which another body is tracked (m).
 _MAX_MATCH_DISTANCE, _MIN_MATCHED_SHARE, _KEYFRAME_SHARE, _MAX_CENTER_ERROR = 0.03, 0.3, 0.6, 0.05
-# Speed below which the object is taken to be at rest (m/s), and share of the velocity lost in a view without it.
+# Speed below which the object counts as at rest (m/s), and share of its velocity that is lost in a view without it.
 _REST_SPEED, _VELOCITY_DECAY = 0.04, 0.4
 # Radius of the spheres at points (m), edge length of the voxels that keep one point each (m), and times after which
 # points are removed (s), shorter for the object, which rotates while it is lifted.
@@ -131,7 +131,7 @@ class PositionFilter:
 
 
 class Keyframe:
-    """Point cloud to which later clouds are registered, so that errors do not accumulate.
+    """Point cloud to which later point clouds are registered, so that errors do not accumulate.
 
     Args:
         points: (k, 3) points relative to the object's center (m).
@@ -147,8 +147,8 @@ class Keyframe:
     def register(self, points: Array) -> tuple[Array, float]:
         """Return the translation (3,) in m from the keyframe to points (k, 3), and the share of points that match it.
 
-        Point-to-plane registration (Chen and Medioni, 1992) without rotation. Directions that the surface does
-        not constrain, such as along a plane, are zero.
+        This is point-to-plane registration (Chen and Medioni, 1992) without rotation. The translation is zero in
+        directions that the surface does not constrain, such as along a plane.
         """
         translation, share = np.zeros(3), 0.0
         sampled = points[:: max(1, len(points) // _N_MATCHED)]
@@ -181,7 +181,7 @@ class GraspTracker:
         surface: Spheres at the visible part of the object, relative to its center.
         human_hand: Spheres at the visible part of the person's hand in the world, or None if no part is visible.
         selected: (7,) grasp that is tracked, relative to the object's center, or None.
-        use_all: Whether the candidates are all predicted grasps and tilted copies of them.
+        use_all: Whether all predicted grasps and tilted copies of them are candidates, not only the best ones.
         lost_timeout: Time without a view of the object after which the tracker is reset at the next view (s).
     """
 
@@ -200,7 +200,7 @@ class GraspTracker:
         self._restart()
 
     def _restart(self) -> None:
-        """Forget the object's motion, the points and the selected grasp."""
+        """Reset the object's motion, the maps of points and the selected grasp."""
         self.position = PositionFilter()
         self._object_map = VoxelMap(_VOXEL_SIZE, _OBJECT_MEMORY)
         self._hand_map = VoxelMap(_VOXEL_SIZE, _HAND_MEMORY)
@@ -293,8 +293,8 @@ class GraspTracker:
     ) -> None:
         """Update the object's position from a view; arguments as in `update`.
 
-        Near the object the camera sees a part of it, whose center the network can only guess. From
-        there the motion of its surface is registered instead.
+        Near the object, the camera sees only a part of it, from which the network cannot predict the center well.
+        There, the visible surface is registered to a keyframe instead.
         """
         cloud = transform_points(gripper_pose, object_points)
         center = transform_points(gripper_pose, prediction.center)
@@ -329,7 +329,7 @@ class GraspTracker:
         self.human_hand = Spheres(centers, np.full(len(centers), _SPHERE_RADIUS)) if len(centers) else None
 
     def _set_candidates(self, grasps: Array, costs: Array, time: float, gains: FilterGains) -> None:
-        """Set the candidates to the grasps (n, 7) of a view and their half turns, after the selected grasp if any."""
+        """Set the candidates: the selected grasp, if any, then the grasps (n, 7) of a view and their half turns."""
         candidates = np.concatenate([grasps, compose(grasps, np.array(HALF_TURN))]) if len(grasps) else grasps
         all_costs = np.concatenate([costs, costs])
         if self.selected is not None:

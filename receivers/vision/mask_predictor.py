@@ -1,4 +1,4 @@
-"""Segmentation of images of the wrist camera by a neural network, which needs PyTorch, and the masked point clouds."""
+"""Segmentation of wrist camera images by a neural network, which needs PyTorch, and segmented point clouds."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -34,12 +34,12 @@ _MAX_OBJECT_RADIUS = 0.2
 # margin for errors of the camera's pose; points in it show the robot.
 _FINGER_LOWER, _FINGER_UPPER = (-0.02, 0.037, 0.0), (0.02, 0.075, 0.12)
 
-#: Function from colours (h, w, 3), depth (h, w) and heights in the world (h, w) in m to labels (h, w) of the pixels.
+#: Function that labels pixels (h, w) by their colours (h, w, 3), depth (h, w) and heights in the world (h, w), in m.
 MaskPredictor = Callable[[npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any]], npt.NDArray[np.uint8]]
 
 
 def load_mask_predictor(weights: str | Path) -> tuple[MaskPredictor, str]:
-    """Load a segmentation network; return a function that predicts masks, and a short hash of the weights.
+    """Load the segmentation network in a weight file; return its mask predictor and a short hash of the weights.
 
     Raises:
         DataNotFoundError, DataFormatError: The file does not exist, is damaged or holds another network.
@@ -63,10 +63,10 @@ def load_mask_predictor(weights: str | Path) -> tuple[MaskPredictor, str]:
 
 
 def segment_clouds(observation: Observation, world_from_hand: Array, predict: MaskPredictor) -> Observation:
-    """Return the point clouds of the mode "scene_pointcloud", of an observation of the mode `UNSEGMENTED`.
+    """Return the point clouds of the mode "scene_pointcloud" for an observation of the mode `UNSEGMENTED`.
 
-    Clouds of more than 1024 points are thinned evenly. The hand link has the pose (7,) `world_from_hand`, quaternion
-    xyzw.
+    Of a cloud with more than 1024 points, every n-th point is kept. The hand link has the pose (7,) `world_from_hand`
+    (quaternion xyzw).
     """
     points, depth = observation["wrist_point_map"], observation["wrist_depth"][..., 0]
     up = Rotation.from_quat(world_from_hand[3:]).as_matrix()[2].astype(np.float32)

@@ -1,8 +1,8 @@
-"""Receiver `vision`, which uses the point clouds of the wrist camera only.
+"""Receiver `vision`, which perceives object and hand only by the wrist camera.
 
-Perception tracks object, hand and grasp candidates that a network predicts; grasp selection and
-motion are the same as in `reactive`. The receiver uses neither true poses nor object models, and
-infers from its fingers whether the person has released the object.
+A tracker follows object, hand and the grasp candidates that a network predicts; grasp selection and motion are those of
+`reactive`. The receiver uses neither true poses nor object models, and infers from its fingers whether the person has
+released the object.
 """
 
 from dataclasses import replace
@@ -22,7 +22,7 @@ from handover_marl.receivers.vision.grasp_tracker import GraspTracker
 from handover_marl.receivers.vision.mask_predictor import UNSEGMENTED, MaskPredictor, load_mask_predictor
 from handover_marl.receivers.vision.scene_estimate import PointCloudSceneEstimate
 
-#: Segmentation masks from the simulator, and from the network that ships.
+#: Values of `masks`: segmentation masks of the simulator, and of the network that ships.
 PERFECT, PREDICTED = "perfect", "predicted"
 _NEVER = 1e6  # s, longer than any episode
 
@@ -95,7 +95,7 @@ class VisionReceiver(ControllerReceiver):
         """Return target joint positions (9,): arm (rad), fingers (m)."""
         scene, controller = require_reset(self._scene, self.name), require_reset(self.controller, self.name)
         if controller.is_grasping:
-            # The camera cannot see what is between the fingers, and the selection is final.
+            # The camera does not see what is between the fingers, and the grasp is not changed any more.
             scene.update_robot(observation)
         else:
             tracker = scene.tracker
@@ -106,7 +106,7 @@ class VisionReceiver(ControllerReceiver):
         return controller.step()
 
     def _track_selection(self, tracker: GraspTracker, is_settled: bool) -> None:
-        """Pass selected and failed grasps of the last decision to the tracker, and whether it must offer all grasps."""
+        """Pass selected and failed grasps of the last decision to the tracker; let it add grasps if none suits."""
         selector = self.selector
         for number, until in selector.failed.items():
             tracker.add_failed(selector.grasps[number], until)
@@ -117,7 +117,7 @@ class VisionReceiver(ControllerReceiver):
 
 def _find_shipped_weights(network: str, setup: str, option: str) -> Path:
     """Return the path of the shipped weights of a network; an error names the option that takes a file."""
-    # Setups of other data than the official ones have no weights of their own.
+    # Setups of other data have no weights of their own, and use those of s0.
     path = find_vision_weights(network, setup if setup in SETUPS else SETUPS[0])
     if not path.is_file():
         raise OptionError(

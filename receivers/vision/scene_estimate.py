@@ -1,4 +1,4 @@
-"""State of robot, object and person's hand, estimated from point clouds."""
+"""Estimated state of robot, object and person's hand from point clouds, used by the receiver `vision`."""
 
 import numpy as np
 import numpy.typing as npt
@@ -16,13 +16,14 @@ from handover_marl.receivers.vision.mask_predictor import MaskPredictor, segment
 
 Array = npt.NDArray[np.float64]
 
-#: Times out of sight after which the object is searched for (s); the second for an object that was at rest when it was
-#: last visible, in scenes with other objects, around which the paths are longer.
+#: Times out of sight after which the object is searched for (s). The second is for an object that was at rest when it
+#: was last visible, in scenes with other objects: the arm moves around them, which takes longer.
 SEARCH_TIMEOUT, HIDDEN_TIMEOUT = 0.25, 1.5
 #: Edge length of the voxels that keep one point each of the other objects (m).
 OBSTACLE_VOXEL_SIZE = 0.025
-# Finger motion between two decisions below which fingers are at rest (m); times of rest, and since the start of closing
-# if the fingers are not fully closed, after which the person is assumed to have released the object (s).
+# Finger motion between two decisions below which the fingers are at rest (m). The person seems to have released the
+# object after the first of these times at rest, or, if the fingers are not fully closed, after the second since they
+# began to close (s).
 _FINGER_REST_DISTANCE, _RELEASE_DELAY, _RELEASE_TIMEOUT = 0.0004, 0.15, 0.5
 
 
@@ -105,9 +106,9 @@ class PointCloudSceneEstimate(SceneEstimate):
             self._update_obstacles(others)
 
     def has_released(self, closing_since: float) -> bool:
-        """Return whether the person has released the object, by the motion of fingers that close since a time (s).
+        """Return whether the person seems to have released the object, by the fingers, which close since a time (s).
 
-        The fingers must have been at rest for a while, or the object has kept them from closing for long.
+        The fingers must have been at rest for a while, or not have closed fully for a longer time.
         """
         if closing_since != self._closing_since:
             self._closing_since = self._moved_at = closing_since
@@ -119,7 +120,7 @@ class PointCloudSceneEstimate(SceneEstimate):
         return (is_late and not self.are_fingers_closed) or self.time - self._moved_at > _RELEASE_DELAY
 
     def _set_lost_timeouts(self) -> None:
-        """Let an object that is at rest be out of sight for longer, since paths lead around other objects."""
+        """Set for how long the object may be out of sight: longer at rest, since paths lead around other objects."""
         is_settled = self.is_settled
         self._search_timeout = HIDDEN_TIMEOUT if is_settled else SEARCH_TIMEOUT
         self.tracker.lost_timeout = HIDDEN_TIMEOUT if is_settled else LOST_TIMEOUT
@@ -137,10 +138,7 @@ class PointCloudSceneEstimate(SceneEstimate):
 
     @property
     def has_empty_fingers(self) -> bool:
-        """Whether there is nothing between the fingers.
-
-        The person may have kept the object, or the fingers may have lost it.
-        """
+        """Whether nothing is between the fingers: the person kept the object, or the fingers lost it."""
         return self.are_fingers_closed
 
     @property

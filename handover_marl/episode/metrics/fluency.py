@@ -6,8 +6,8 @@ while the wrist moves faster than `ACTIVE_SPEED`; a robot is active while its ha
 or its fingers faster than `ACTIVE_FINGER_SPEED`. Smoothness is the spectral arc length of Balasubramanian et al., "On
 the analysis of movement smoothness", Journal of NeuroEngineering and Rehabilitation 12:112, 2015. Smoothness does not
 depend on speed and duration. The root mean square of the jerk depends on both; it is minimal in the minimum-jerk model
-of human reaching (Flash and Hogan, Journal of Neuroscience 5(7), 1985). Positions are differentiated by the filter of
-Savitzky and Golay, Analytical Chemistry 36(8), 1964. The exchange begins with the receiver's first contact and ends
+of human reaching (Flash and Hogan, Journal of Neuroscience 5(7), 1985). The jerk is computed by the filter of Savitzky
+and Golay, Analytical Chemistry 36(8), 1964. The exchange begins with the receiver's first contact and ends
 with the release, as the physical handover phase of Ortenzi et al., "Object Handovers: A Review for Robotics", IEEE
 Transactions on Robotics 37(6), 2021. RULA (rapid upper limb assessment) rates postures: McAtamney and Corlett, Applied
 Ergonomics 24(2), 1993.
@@ -34,7 +34,8 @@ Flags = npt.NDArray[np.bool_]
 ACTIVE_SPEED, ACTIVE_FINGER_SPEED = 0.05, 0.005  # m/s
 _DOWN: Final = np.array([0.0, 0.0, -1.0])
 _FORWARD: Final = np.array([0.0, -1.0, 0.0])
-# Joint angles (deg) at which the score of the upper arm increases, and the range of the forearm without a higher score.
+# Angles (deg) of the upper arm, forward and backward, at which its score increases, and range of the elbow's flexion in
+# which the forearm has its lowest score.
 _FLEXIONS, _EXTENSION, _FOREARM_RANGE = (20.0, 45.0, 90.0), 20.0, (60.0, 100.0)
 # Angle (deg) of the upper arm to the vertical plane through shoulder and robot above which it is abducted.
 _ABDUCTION = 20.0
@@ -218,9 +219,9 @@ def compute_fluency(trace: EpisodeTrace) -> FluencyMetrics:
 
 
 def has_early_grab(trace: EpisodeTrace) -> bool | None:
-    """Return whether the fingers begin to close before the person's offer; None if they do not close, or no hand gives.
+    """Return whether the fingers begin to close before the person's offer; None if they do not close, or no hand moves.
 
-    The offer is the end of the person's last activity before the release, as in the functional delay.
+    The offer is the end of the person's last activity before the release, or before the end without a release.
     """
     n = trace.count_samples_until(trace.steps if trace.release_step is None else trace.release_step)
     person = compute_speeds(trace.wrist, trace.period) > ACTIVE_SPEED

@@ -1,4 +1,4 @@
-"""Motion trace of an episode, the callback that records it, and quantities of sampled motion.
+"""Motion trace of an episode, the callback that records it, and quantities that are computed from sampled motion.
 
 The quantities are speeds, activities, jerk, smoothness and protective distances.
 """
@@ -29,8 +29,8 @@ Flags = npt.NDArray[np.bool_]
 SAMPLE_STEPS = 20
 _SMOOTHING_SAMPLES = 3  # speeds are averaged over 60 ms
 _SHORTEST_PAUSE = 0.25  # s, shorter pauses do not divide an activity
-# The third derivative of polynomials of this degree, fitted to this many samples (240 ms), has half power at 6.3 Hz:
-# it keeps reaching movements and suppresses noise.
+# The jerk is the third derivative of a polynomial of this degree, fitted to this many samples (240 ms). The filter has
+# half power at 6.3 Hz: it keeps reaching movements and suppresses noise.
 _JERK_DEGREE, _JERK_SAMPLES = 5, 13
 # Spectral arc length: highest frequency (Hz), share of the largest amplitude below which both ends of the spectrum are
 # cut off, and padding of the profile with zeros to 2^_PADDING times the next power of two.
@@ -51,7 +51,7 @@ class EpisodeTrace:
         fingers: (n, 2) positions of the finger joints (m).
         wrist: (n, 3) positions of the person's wrist (m), NaN if there is no hand.
         steps: Number of physics steps of the episode.
-        release_step: Physics step after which the person released the object; None if there is no release.
+        release_step: Physics step in which the person released the object; None if there is no release.
         max_object_force: Largest sum of the normal forces between robot and object in one physics step (N).
         min_distance: Smallest distance between robot and human hand (m), 0 after contact, None if there is no hand.
         max_hand_force: Largest sum of the normal forces between robot and human hand in one physics step (N); None
@@ -225,7 +225,7 @@ def compute_rms_jerk(positions: Array, period: float) -> float | None:
 
 @functools.cache
 def _compute_jerk_weights() -> Array:
-    """Compute weights (13,) with which the sum of samples at a distance of 1 is the third derivative in the middle."""
+    """Compute weights (13,): the weighted sum of samples, one unit apart, is the third derivative in the middle."""
     offsets = np.arange(_JERK_SAMPLES) - _JERK_SAMPLES // 2
     weights: Array = 6.0 * np.linalg.pinv(np.vander(offsets, _JERK_DEGREE + 1, increasing=True))[3]
     return weights
@@ -260,7 +260,7 @@ def compute_spectral_arc_length(speed: Array, rate: float) -> float | None:
 
 
 def find_activities(active: Flags, period: float) -> list[tuple[int, int]]:
-    """Return the indices of the first and last sample of each period of activity; pauses up to 0.25 s do not split it.
+    """Return first and last sample (indices) of each period of activity; pauses of up to 0.25 s do not end a period.
 
     Args:
         active: (n,) whether the agent is active at each sample.

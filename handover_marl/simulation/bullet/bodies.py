@@ -24,10 +24,10 @@ from handover_marl.simulation.reference_tracking import list_hand_motors, list_o
 
 # Fields of PyBullet's joint info.
 _JOINT_TYPE, _LINK_NAME = 2, 12
-#: Fields of PyBullet's dynamics info: position and quaternion of a link's centre of mass in its URDF frame.
+#: Fields of PyBullet's dynamics info: position and quaternion of a link's center of mass in its URDF frame.
 INERTIAL_POSE = slice(3, 5)
 #: Collision masks: the Panda collides with everything, the hand with the Panda only, a released object with all but
-#: the hand. Before its release an object collides with the Panda only, see `compute_object_masks`.
+#: the hand. Before its release, an object collides with the Panda only; see `compute_object_masks`.
 TABLE_MASK = 1
 HAND_MASK = 2**22
 PANDA_MASK = -1
@@ -39,7 +39,7 @@ RELEASED_MASK = -1 - HAND_MASK
 def reset_base(client: BulletClient, body_id: int, world_from_base: npt.ArrayLike) -> None:
     """Set the world pose (7,) (quaternion xyzw) of the URDF frame of a body's base link.
 
-    Bullet sets base poses at the centre of mass.
+    Bullet's own function sets the pose of the center of mass.
     """
     pose = np.asarray(world_from_base, dtype=np.float64)
     offset = np.concatenate(client.getDynamicsInfo(body_id, -1)[INERTIAL_POSE])
@@ -181,7 +181,7 @@ class ArticulatedBody:
 
 
 class HandBody(ArticulatedBody):
-    """Human hand in PyBullet: six joints of the wrist pose and 15 finger joints of three axes each.
+    """Human hand in PyBullet: six joints move the whole hand, and 15 finger joints have three axes each.
 
     Args:
         client: Physics client.
@@ -208,7 +208,7 @@ class HandBody(ArticulatedBody):
 
 
 class ObjectBody(ArticulatedBody):
-    """Scene object on three prismatic and three rotary joints, moved by motors until its release.
+    """Scene object with three prismatic and three revolute joints, moved by motors until its release.
 
     Args:
         client: Physics client.
@@ -245,7 +245,7 @@ class ObjectBody(ArticulatedBody):
 
 
 def compute_object_masks(class_ids: Sequence[int]) -> list[int]:
-    """Return the collision masks of a scene's objects before their release, each a bit of its own.
+    """Return the collision masks of a scene's objects before their release, with one bit for each object.
 
     The objects collide with the robot but not with each other. The YCB classes of DexYCB have HandoverSim's
     bits, 1 to 20. Other classes, and further objects of the same class, get the next unused bits.

@@ -24,7 +24,7 @@ from handover_marl.geometry.model_files.urdf_xml import parse_urdf
 
 @contextlib.contextmanager
 def _silence_stderr() -> Iterator[None]:
-    """Discard the output of C code on stderr: PyBullet prints its build time at import."""
+    """Discard the output of C code on stderr, where PyBullet prints its build time at import."""
     try:
         original = os.dup(2)
     except OSError:
@@ -75,8 +75,8 @@ def _use_decimal_point() -> Iterator[None]:
 class BulletClient:
     """PyBullet's functions and constants, bound to one physics server.
 
-    `mode` is PyBullet's DIRECT, or GUI for a window; a SimulationError says why the server did not start. The client
-    disconnects when it is garbage collected. A client must not be copied: both copies would close the server.
+    `mode` is PyBullet's DIRECT, or GUI for a window. If the server does not start, a SimulationError says why. The
+    client disconnects when it is garbage collected. It must not be copied: both copies would close the server.
     """
 
     _server = -1

@@ -1,7 +1,6 @@
-"""Inverse kinematics of the Panda and its distance from a hand by PyBullet.
+"""Inverse kinematics of the Panda, and its distance from a human hand, by PyBullet.
 
-Each solver or query has its own physics client.
-Quaternions are xyzw.
+Each solver or query has its own physics client. Quaternions are xyzw.
 """
 
 from collections.abc import Sequence
@@ -32,7 +31,7 @@ _HAND_CONFIG = HandConfig()
 
 
 class BulletIKStep:
-    """Single inverse-kinematics query of the Panda by PyBullet; may not converge.
+    """Inverse kinematics of the Panda by one call of PyBullet, which may not converge.
 
     The Panda is loaded as in `ExactWorld`, so that the solution equals, bit for bit, the solution of
     a query in the physics client of `ExactWorld` with the same joints. Bullet makes 20 damped
@@ -96,7 +95,7 @@ class BulletIKSolver(IkSolver):
         world_from_base = np.array([*config.base_position, *config.base_orientation])
         reset_base(self._client, self._body, world_from_base)
         self._hand_link = read_tree(urdf).get_link(HAND_LINK)
-        # Bullet reports link states at the centre of mass.
+        # Bullet reports link states at the center of mass.
         hand_from_mass = np.concatenate(self._client.getDynamicsInfo(self._body, self._hand_link)[INERTIAL_POSE])
         self._mass_from_hand = invert_pose(hand_from_mass)
         self._reachability = ReachabilityBound(world_from_base)
@@ -115,7 +114,7 @@ class BulletIKSolver(IkSolver):
             orientations: (n, 4) world orientations, quaternions xyzw; None leaves them free.
         """
         found, targets = np.full((len(starts), ARM_DOF), np.nan), positions.astype(np.float64)
-        # The iteration would not converge either, but take minutes for an object that stays out of reach.
+        # For a pose out of reach, the iteration would not converge, but take minutes.
         tolerances = 2.0 * _POSITION_TOLERANCE, 1.1 * _ANGLE_TOLERANCE
         for row in np.flatnonzero(~self._reachability.is_unreachable(targets, orientations, *tolerances)).tolist():
             orientation = None if orientations is None else orientations[row]
@@ -134,7 +133,7 @@ class BulletIKSolver(IkSolver):
         self._client.resetJointStatesMultiDof(self._body, _ARM_JOINTS, [[joint] for joint in joints[:ARM_DOF]])
 
     def _is_hand_at(self, target: Array, orientation: npt.ArrayLike | None) -> bool:
-        # Items 0 and 1 are the centre of mass in double precision; Bullet rounds link frames to float32.
+        # Items 0 and 1 are the center of mass in double precision; Bullet rounds link frames to float32.
         position, rotation = self._client.getLinkState(self._body, self._hand_link)[:2]
         hand = transform_points([*position, *rotation], self._mass_from_hand[:3])
         if np.linalg.norm(hand - target) >= _POSITION_TOLERANCE:
@@ -159,7 +158,7 @@ class BulletDistanceQuery(DistanceQuery):
         self._hands: dict[Path, HandBody] = {}
 
     def read_bounding_spheres(self, urdf: Path) -> dict[int, BoundingSphere]:
-        """Return a sphere around the collision shapes of each link that has some, by link number; -1 is the base."""
+        """Return the bounding spheres of all links with collision shapes, by link number; -1 is the base."""
         return read_bounding_spheres(urdf)
 
     def measure(self, hand_urdf: Path, robot: list[float], hand: list[float], max_distance: float) -> float:

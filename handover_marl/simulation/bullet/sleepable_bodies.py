@@ -1,7 +1,7 @@
-"""Hand and objects that are added to a PyBullet simulation only while the Panda may touch them.
+"""Hand and objects that are added to a PyBullet simulation (woken) only while the Panda may touch them.
 
-Otherwise they follow their references kinematically. Row k is step k of the current reference
-motion; row -1 is the state before its first step.
+Otherwise they sleep: they follow their references kinematically. Row k is step k of the current reference motion; row
+-1 is the state before its first step.
 """
 
 import functools
@@ -34,7 +34,7 @@ _REST_TOLERANCE = 1e-7
 
 
 def read_bounding_spheres(urdf: Path) -> dict[int, BoundingSphere]:
-    """Return a sphere around the collision shapes of each link that has some, by link number; -1 is the base link.
+    """Return the bounding spheres of all links with collision shapes, by link number; -1 is the base.
 
     Raises:
         SimulationError: The model cannot be loaded.
@@ -149,7 +149,7 @@ class KinematicHand(BodyTrajectory):
 
     Attributes:
         bodies: PyBullet body numbers; empty while the hand sleeps or is absent.
-        is_awake: Whether the hand is in the PyBullet simulation while it is present in the scene.
+        is_awake: Whether the hand is in the PyBullet simulation whenever it is present in the scene.
         reach: Largest distance (m) of any point of the hand from the origin of its wrist joints.
 
     Raises:
@@ -165,7 +165,7 @@ class KinematicHand(BodyTrajectory):
         self._bodies_at: npt.NDArray[np.float64] | None = None
         # Trajectory for which the poses (n + 2, k, 7) of the k collision shapes were computed.
         self._shape_poses: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None = None
-        # Observations often read a hand at rest: the joints and keypoints of the last call.
+        # Joints and keypoints of the last call, since observations often read a hand at rest.
         self._cached_keypoints: tuple[npt.NDArray[np.float64], npt.NDArray[np.float32]] | None = None
         super().__init__(list_hand_motors(config), None)
 

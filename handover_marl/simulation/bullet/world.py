@@ -68,7 +68,7 @@ class BulletWorld(World):
             raise _make_connection_error(error) from error
 
     def release_target(self) -> None:
-        """Release the target object from the human hand, from the next step on."""
+        """Release the target object from the human hand before the next step."""
         self._release_pending = True
 
     def read_state(self) -> WorldState:

@@ -1,4 +1,4 @@
-"""PyBullet worlds: one with states bit-equal to HandoverSim, and one of the bodies that can be in contact only."""
+"""PyBullet worlds: `ExactWorld` repeats HandoverSim bit for bit, `FastWorld` simulates only bodies near the robot."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -22,7 +22,7 @@ from handover_marl.simulation.reference_tracking import ReferenceMotion, track_r
 from handover_marl.simulation.world import Contacts
 
 _NO_CONTACTS = Contacts()
-# A body with fewer contact-free steps ahead is woken: frequent predictions cost more than its simulation.
+# A body with fewer contact-free steps ahead is woken, since frequent predictions take longer than its simulation.
 _MIN_FREE_STEPS = 5
 
 
@@ -43,10 +43,7 @@ class ExactWorld(BulletWorld):
         self._reference: Iterator[tuple[list[list[float]], list[float] | None]] = iter(())
 
     def reset(self, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
-        """Load a scene with the robot at nine joint positions (rad, m).
-
-        `start` has one row: the joint positions of hand and objects in the first frame.
-        """
+        """Load a scene; set hand and objects to the only row of `start`, and the robot to nine joints (rad, m)."""
         with self._start_scene(scene):
             panda = replace(self._config.panda, start_joints=tuple(robot_joints))
             self._workcell = load_workcell(self._client, scene.assets, replace(self._config, panda=panda))
@@ -77,7 +74,7 @@ class ExactWorld(BulletWorld):
         self._simulate()
 
     def read_contacts(self, released: bool) -> Contacts:
-        """Return the contacts of the last step; the target's with table and other objects only if it is `released`."""
+        """Return the contacts of the last step; those of the target with table or objects only if it is `released`."""
         hand = () if self._hand is None else (self._hand.id,)
         return self._read_contacts(hand, self._objects[0], {body.id for body in self._objects[1:]}, released)
 
@@ -112,8 +109,8 @@ class ExactWorld(BulletWorld):
 class FastWorld(BulletWorld):
     """PyBullet world that simulates hand and objects only while the Panda is near them.
 
-    The Panda, and every object that it could touch or that was released, are simulated as in `ExactWorld`. The human
-    hand follows its reference kinematically, by the recurrence of its motors: by the collision masks it can touch only
+    The Panda, every object that it could touch, and after a release all objects are simulated as in `ExactWorld`. The
+    human hand follows its reference kinematically, as its motors would move it: by its collision mask it can touch only
     the Panda, and such a contact ends the episode, so its dynamics have no effect. Models stay loaded between scenes.
 
     Args:
@@ -130,7 +127,7 @@ class FastWorld(BulletWorld):
         self._hand: KinematicHand | None = None
         # Current row and length of the reference motion.
         self._row, self._n_rows = -1, 0
-        # Sleeping bodies are safe before this row, as long as the robot has this target.
+        # Row before which the robot cannot touch sleeping bodies, as long as it has this target.
         self._free_until, self._free_target = 0, list[float]()
 
     def reset(self, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
@@ -190,7 +187,7 @@ class FastWorld(BulletWorld):
         self._simulate()
 
     def read_contacts(self, released: bool) -> Contacts:
-        """Return the contacts of the last step; the target's with table and other objects only if it is `released`."""
+        """Return the contacts of the last step; those of the target with table or objects only if it is `released`."""
         target, *others = (item.body for item in self._objects)
         hand, awake = self._loaded_hand.bodies, {other.id for other in others if other is not None}
         if target is None and not hand and not awake:

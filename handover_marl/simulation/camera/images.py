@@ -53,7 +53,7 @@ class JointSnapshot(NamedTuple):
     objects: npt.NDArray[np.float32]
 
 
-#: Colors as HTML and matplotlib write them, "#rrggbb".
+#: Colors of the labels in figures, "#rrggbb".
 LABEL_COLORS = {
     SegmentationLabel.BACKGROUND: "#e8e8e8",
     SegmentationLabel.ROBOT: "#555555",

@@ -21,11 +21,11 @@ class CameraNoise(CheckedConfig):
             cameras: depth^2 * subpixel / (focal * baseline), see Grunnet-Jepsen et al., "Subpixel linearity improvement
             for Intel RealSense depth camera D400 series" (Intel). A D435 with images 848 pixels wide has a focal length
             of 450 pixels and a baseline of 0.05 m; an assumed subpixel error of 0.08 gives 0.0036 m.
-        edge_threshold: Depth difference of neighbouring pixels that counts as an edge (m).
+        edge_threshold: Depth difference of neighboring pixels that counts as an edge (m).
         edge_dropout: Share of the pixels beside depth edges that lose their depth, because only one of a stereo
             camera's two imagers sees the surface there. The share depends on the scene; 0.5 is an assumption.
         latency: Age of an image when it arrives (s); the assumed 0.05 s are 1.5 frames at 30 Hz.
-        pixel_stride: Step between the rows and columns that have depth: 2 simulates a camera of 112 x 112 pixels.
+        pixel_stride: Distance between rows and columns that have depth: 2 simulates a camera of half the resolution.
 
     Raises:
         OptionError: A value is out of range.
@@ -39,8 +39,8 @@ class CameraNoise(CheckedConfig):
 
 
 _EXACT = CameraNoise(depth_noise_std=0.0, edge_dropout=0.0, latency=0.0)
-#: Noise models by name: "realsense"; "imperfect", all imperfections; and its parts, each alone. Those with errors
-#: of the calibration are in `CALIBRATION_ERRORS`, too.
+#: Noise models by name: "realsense"; "imperfect", which adds calibration errors; and the parts of "imperfect", each
+#: alone. The calibration errors of "imperfect", "hand_eye" and "intrinsics" are in `CALIBRATION_ERRORS`.
 CAMERA_NOISE_MODELS = {
     "realsense": CameraNoise(),
     "imperfect": CameraNoise(latency=0.06),
@@ -98,10 +98,7 @@ def apply_camera_noise(
 
 
 def _find_edges(depth: npt.NDArray[np.float32], threshold: float) -> npt.NDArray[np.bool_]:
-    """Return a mask, of the image's shape, of the pixels at depth edges.
-
-    There the depth differs from that of one of the four neighbours by more than a threshold (m).
-    """
+    """Return a mask (h, w) of the pixels whose depth differs from that of a neighbor by more than a threshold (m)."""
     cross = generate_binary_structure(2, 1)
     highest, lowest = maximum_filter(depth, footprint=cross), minimum_filter(depth, footprint=cross)
     is_edge: npt.NDArray[np.bool_] = (highest - depth > threshold) | (depth - lowest > threshold)

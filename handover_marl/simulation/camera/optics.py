@@ -26,8 +26,7 @@ from handover_marl.geometry.panda import CAMERA_LINK
 Array = npt.NDArray[np.float32]
 Float64Array = npt.NDArray[np.float64]
 
-#: Share of the far plane's distance that is the depth of background pixels: HandoverSim's conversion of an empty depth
-#: buffer.
+#: Depth of background pixels as a share of the far plane's distance, from HandoverSim's conversion of depth buffers.
 _EMPTY_SHARE: Final = np.float32(1.9999951) / np.float32(2.0)
 #: Links of the robot that no camera sees: the wrist camera's own housing is nearer than its near plane.
 INVISIBLE_LINKS: Final = (CAMERA_LINK,)
@@ -36,7 +35,8 @@ INVISIBLE_LINKS: Final = (CAMERA_LINK,)
 HANDOVERSIM_MODEL, PINHOLE_MODEL = "handoversim", "pinhole"
 CAMERA_MODELS = (HANDOVERSIM_MODEL, PINHOLE_MODEL)
 
-#: Offset (right, down) from a pixel's number to the image position at which it is sampled, from the image's corner.
+#: Offset (right, down) in pixels from a pixel's column and row to the position from the image's upper left corner at
+#: which the pixel is sampled.
 SAMPLE_OFFSET_PX: Final = (0.0, 1.0)
 
 #: Distance behind a back face, which is invisible, at which a ray continues (m).
@@ -199,7 +199,7 @@ def compute_points(
 ) -> AnyArray:
     """Compute the 3D points (..., 3) of pixels from their numbers in image order and their depths, both (...).
 
-    Arguments and frame are as for `deproject`; arrays or tensors.
+    Arguments and frame are as for `deproject`; `pixels` and `depth` are arrays or tensors.
     """
     check_name("camera_model", camera_model, CAMERA_MODELS)
     xp = get_namespace(pixels)
@@ -226,6 +226,6 @@ def depth_from_buffer(buffer: Array, camera: Pinhole = WRIST_CAMERA) -> Array:
     """
     near, far = camera.near, camera.far
     depth: Array = np.float32(far * near) / (np.float32(far) - np.float32(far - near) * buffer)
-    # HandoverSim marks empty pixels so; its software renderer has no buffer value of 1 and gives another depth.
+    # HandoverSim marks empty pixels by depth 0; its software renderer never has a buffer value of 1.
     depth[buffer == 1.0] = 0.0
     return depth

@@ -1,4 +1,4 @@
-"""Randomisation of cameras (domain randomisation): one draw for each camera and episode."""
+"""Domain randomization of cameras: one draw for each camera and episode."""
 
 import math
 from dataclasses import dataclass, replace
@@ -18,14 +18,14 @@ from handover_marl.simulation.camera.optics import Pinhole, to_rows
 class CameraRandomization(CheckedConfig):
     """Largest deviations of cameras from their configuration, drawn uniformly at the start of each episode.
 
-    The default changes nothing. Calibration and point clouds are those of the configuration, so that errors of the
-    camera are errors of the points.
+    The default changes nothing. Calibration matrices and point clouds are computed for the configured camera, so that a
+    deviation of the camera is an error of the points.
 
     Attributes:
-        color: Largest relative change of red, green and blue, each on its own, of all pixels with a segmentation label.
+        color: Largest relative change of red, green and blue, drawn for each channel and segmentation label.
         brightness: Largest relative change of the light, the same in the whole image.
         position: Largest error of the camera's position along each of its axes (m).
-        rotation: Largest error of the camera's orientation: component of a rotation vector in its frame (rad).
+        rotation: Largest component of the rotation vector of the orientation's error, in the camera's frame (rad).
         focal: Largest relative error of the focal length.
         principal: Largest error of the principal point, right and down (pixels).
         depth_noise_std: Largest addition to `CameraNoise.depth_noise_std`, at least 0 (m at 1 m).
@@ -73,9 +73,9 @@ class CameraRandomization(CheckedConfig):
 
 _HAND_EYE = CameraRandomization(position=0.01, rotation=math.radians(2.0))
 _INTRINSICS = CameraRandomization(focal=0.01, principal=2.24)
-#: Errors of the calibration that belong to a name of `CAMERA_NOISE_MODELS`: the camera's pose has errors of 1 cm and 2
-#: degrees (root mean square of a length of three uniform components), and focal length and principal point are wrong
-#: by at most 1 %, of the length and of the image's width.
+#: Calibration errors by names of `CAMERA_NOISE_MODELS`: the camera's position and orientation have errors of 1 cm and 2
+#: degrees (root mean square of the norm of three uniform components); focal length and principal point have errors of
+#: at most 1 % of the focal length and of the width of an image of 224 pixels.
 CALIBRATION_ERRORS = {
     "imperfect": replace(_INTRINSICS, position=_HAND_EYE.position, rotation=_HAND_EYE.rotation),
     "hand_eye": _HAND_EYE,

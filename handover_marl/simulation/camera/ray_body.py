@@ -29,7 +29,7 @@ _IS_HIGH = np.array(list(itertools.product((False, True), repeat=3)))
 
 
 class RayHits(NamedTuple):
-    """Front faces of a mesh that rays hit first, one for each of n rays that hit.
+    """First front face of a mesh that each of n rays hits; rays without a hit are left out.
 
     Attributes:
         ray: (n,) numbers of the rays.
@@ -63,9 +63,7 @@ class RayMesh:
         TriangleMesh(self._scene, vertices, faces)
 
     def cast_rays(self, start: Array, directions: Array, near: float, far: Array) -> RayHits:
-        """Return the first front face of the mesh that each ray hits.
-
-        Rays without a hit are left out.
+        """Return the first front face of the mesh that each ray hits; rays without a hit are left out.
 
         Args:
             start: (3,) common origin of all rays in the mesh's frame (m).
@@ -73,7 +71,7 @@ class RayMesh:
             near: Depth before which hits are ignored (m).
             far: (n,) depths behind which hits are ignored (m).
         """
-        # All rays begin at one depth, then each behind the back face that it has hit.
+        # All rays begin at one depth, and continue behind the back faces that they hit.
         ray, begin, hits = None, np.full(1, near, dtype=np.float32), list[RayHits]()
         for _ in range(MAX_BACK_FACES + 1):
             # Loops over columns, and `take`, are several times as fast as operations on rows.

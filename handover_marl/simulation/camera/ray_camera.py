@@ -38,7 +38,7 @@ _NO_PIXELS = np.zeros(0, dtype=np.int64)
 _EDGES = np.array([(one, one | bit) for bit in (1, 2, 4) for one in range(8) if not one & bit]).T
 # Added around rectangles (pixels), larger than the rounding error of the projection.
 _MARGIN = 0.01
-# Numbers of no link.
+# Numbers in place of a link's number.
 _GROUND, _BACKGROUND = -1, -2
 _GROUND_COLORS = np.array(GROUND, dtype=np.uint8)
 
@@ -51,7 +51,7 @@ class PosedLink(NamedTuple):
         number: Number of the link's mesh in the body.
         owner: Number of the link in the scene.
         frame: Rotation (3, 3) and origin (3,) (m) of the mesh in the camera's frame, float32.
-        rectangle: First column and that after the last, and rows likewise, of the pixels that may show the link.
+        rectangle: Pixels that may show the link: first column and the one after the last, then the same for rows.
     """
 
     body: RayBody
@@ -83,11 +83,11 @@ class Framebuffer:
         count = camera.n_pixels
         self._depth = np.full(count, camera.empty_depth, dtype=np.float32)
         self._owner = np.full(count, _BACKGROUND, dtype=np.int16)
-        # Face that a pixel shows, and its two weights in one number, which is faster than two.
+        # Face that a pixel shows, and its two barycentric weights in one complex number, which is faster than two.
         self._face, self._weights = np.empty(count, np.int32), np.empty(count, np.complex64)
 
     def draw(self, link: PosedLink, pixels: Pixels | None = None) -> Pixels:
-        """Draw a link on those of some pixels where it is nearest to the camera; return the changed pixels.
+        """Draw a link on the pixels where it is nearer than what has been drawn there; return the changed pixels.
 
         Args:
             link: Link to draw.
@@ -110,7 +110,7 @@ class Framebuffer:
         return drawn
 
     def draw_ground(self) -> None:
-        """Draw the ground plane z = 0 of the world frame, where it is nearest to the camera."""
+        """Draw the ground plane z = 0 of the world frame where it is nearer than what has been drawn."""
         descent = self._camera.rays @ self._rotation[2].astype(np.float32)
         with np.errstate(divide="ignore"):
             depth = np.float32(-self._position[2]) / descent
@@ -128,7 +128,7 @@ class Framebuffer:
         return is_below
 
     def make_image(self, links: Sequence[PosedLink]) -> CameraImage:
-        """Return the content of the framebuffer as an image, given the links by their numbers."""
+        """Return the content of the framebuffer as an image; `links` are all links in the order of their numbers."""
         shape = self._camera.height, self._camera.width
         labels = np.array([*(link.body.label for link in links), *[SegmentationLabel.BACKGROUND] * 2], dtype=np.uint8)
         rgb = self._compute_colors(links).reshape(*shape, 3) if self._has_color else None
@@ -137,7 +137,7 @@ class Framebuffer:
 
     def _compute_colors(self, links: Sequence[PosedLink]) -> Colors:
         """Return the colours (n, 3) of all pixels."""
-        # Three channels and an unused one in one number, which is faster than three.
+        # Three channels and an unused one in one 32-bit number, which is faster than three.
         colors = np.empty((len(self._owner), 4), np.uint8)
         packed = colors.view(np.uint32)[:, 0]
         order = np.argsort(self._owner, kind="stable")
@@ -146,7 +146,7 @@ class Framebuffer:
         ground = order[ends[0] : ends[1]]
         x, y, _ = (self._camera.rays.take(ground, axis=0) @ self._rotation.T).T * self._depth[ground]
         squares = (np.floor(x + self._position[0]) + np.floor(y + self._position[1])).astype(np.int64) & 1
-        # Normals in the world, the number of each pixel's, and colours before shading, first of the ground.
+        # World normals, the number of each pixel's normal, and colours before shading; those of the ground come first.
         normals, found = [np.array([[0.0, 0.0, 1.0]])], [_GROUND_COLORS[squares]]
         numbers: list[npt.NDArray[np.integer]] = [np.zeros(len(ground), np.int64)]
         count = 1
@@ -171,8 +171,8 @@ def _bound_boxes(camera: Pinhole, corners: Array) -> Rectangles:
     """Return the rectangles of pixels that contain n boxes, given their corners (n, 8, 3) in the camera's frame (m).
 
     Returns:
-        First columns and those after the last, first rows and those after the last (n, 2, 2); empty rectangles outside
-        the depth range.
+        (n, 2, 2) first column and the one after the last, then the same for rows; empty for boxes outside the depth
+        range.
     """
     near = np.float32(camera.near)
     # Points of the edges in the near plane, if an edge crosses it.
@@ -193,7 +193,7 @@ def _bound_boxes(camera: Pinhole, corners: Array) -> Rectangles:
 
 
 def _compute_brightness(normals: npt.NDArray[np.floating]) -> Float64Array:
-    """Return the brightness (n,) in the light that falls on faces with normals (n, 3) in the world."""
+    """Return the brightness (n,) of faces with normals (n, 3) in the world."""
     columns = normals.T
     length = np.maximum(np.sqrt(sum(column * column for column in columns)), 1e-12)
     unit = np.stack([column / length for column in columns], axis=1)
@@ -274,7 +274,7 @@ class RayCamera:
                 (left, right), (top, bottom) = link.rectangle
                 near = pixels[(row >= top) & (row < bottom) & (column >= left) & (column < right)]
                 if len(near):
-                    # Pixels that are cleared twice stay background: other links are drawn over those with a depth only.
+                    # A cleared pixel may be drawn and cleared again by a later link; it stays background.
                     buffer.clear(buffer.draw(link, near))
         return buffer.make_image(links)
 
@@ -290,7 +290,7 @@ class RayCamera:
     def _pose_links(
         self, snapshot: JointSnapshot, camera: Pinhole, view: tuple[Float64Array, Float64Array]
     ) -> list[PosedLink]:
-        """Return all links with meshes, those of target and hand first, in the frame `view` of a camera."""
+        """Return all links with meshes, target and hand first, in the frame of a camera with the pose `view`."""
         bodies: list[PosedBody] = [(self._target, snapshot.objects[0])]
         bodies += [] if snapshot.hand is None else [(self._hand, snapshot.hand)]
         bodies += [(self._panda, snapshot.robot), *zip(self._others, snapshot.objects[1:], strict=True)]

@@ -11,7 +11,7 @@ _RAY_MODULES = ("embreex", "trimesh")
 
 
 def resolve_renderer(name: str, physics: str) -> str:
-    """Return the renderer of cameras of a name, "bullet" or "rays", after a check that it is installed.
+    """Return the renderer that a name stands for, "bullet" or "rays", after a check that it is installed.
 
     Args:
         name: Name of the renderer or "auto", one of `RENDERERS`.
@@ -32,7 +32,7 @@ def resolve_renderer(name: str, physics: str) -> str:
 
 
 def check_rendering(what: str = "rendering") -> None:
-    """Check that PyBullet is installed, which renders scenes; `what` names the operation in the error.
+    """Check that PyBullet, which renders scenes, is installed; `what` names the operation in the error.
 
     Raises:
         OptionError: PyBullet is not installed.

@@ -2,9 +2,9 @@
 
 Images equal those of `ray_camera.RayCamera` to single precision. All arrays are PyTorch tensors on the device.
 
-The renderer of MuJoCo Warp 4.0 cannot be used: its context holds the meshes and textures of one compiled model and
-compiles a kernel of its own, while the worlds here get other scenes in every episode. That renderer also has another
-light than PyBullet, and cannot render the visible pixels of hand and object only.
+The renderer of MuJoCo Warp 4.0 cannot be used: it holds the meshes and textures of one compiled model and compiles a
+kernel for it, while the worlds here get other scenes in every episode. It also has other lights than PyBullet, and
+cannot render the visible pixels of hand and object only.
 """
 
 from collections.abc import Sequence
@@ -63,7 +63,7 @@ class MeshBank:
         self._meshes: list[warp.Mesh] = []
         self._models: dict[tuple[object, ...], list[DeviceMesh]] = {}
         self._n_faces = 0
-        # Models whose colours have not been read, in the order of their meshes.
+        # Models whose colours have not been copied to the device, in the order of their meshes.
         self._uncolored: list[tuple[Path, tuple[str, ...]]] = []
         self._extend(0, np.zeros(4), 0)
 
@@ -113,14 +113,14 @@ class MeshBank:
         self._meshes.append(own)
         center = (vertices.min(axis=0) + vertices.max(axis=0)) / 2.0
         radius = np.linalg.norm(vertices - center, axis=1).max()
-        # Larger than the rounding error of the test of a ray.
+        # The radius is larger by more than the rounding error of `is_near_sphere`.
         return self._extend(own.id, np.array([*center, 1.001 * radius + 1e-5]), len(mesh.faces))
 
     def _extend(self, identifier: int, sphere: npt.NDArray[np.float64], n_faces: int) -> int:
         self.first_faces.extend(np.array([self._n_faces]))
         self._n_faces += n_faces
         self.spheres.extend(sphere)
-        # Kernels take the bits of an unsigned number.
+        # Kernels read the bits as an unsigned number.
         return self.identifiers.extend(np.array([identifier], dtype=np.uint64).view(np.int64))
 
 
@@ -147,7 +147,7 @@ class ImageBatch(NamedTuple):
 class WarpCamera:
     """Cameras of n worlds with visual meshes of their own.
 
-    The argument `rows` (r,) of methods has the numbers of r of the worlds; other arrays have one row for each of them.
+    Methods apply to the r worlds whose indices are in their argument `rows` (r,); other arrays have r rows.
 
     Args:
         config: Poses of robot and table.
@@ -238,7 +238,7 @@ class WarpCamera:
             stream: Number of the random stream.
 
         Returns:
-            Numbers (r, limit) of the pixels, ascending; the number of pixels in place of missing ones.
+            Numbers (r, limit) of the pixels, ascending; missing ones are p, the number of pixels of an image.
         """
         xp, segmentation = self._arrays.xp, images.segmentation
         n_pixels = segmentation.shape[1]
@@ -348,7 +348,7 @@ class WarpCamera:
 def _scramble(values: AnyArray) -> AnyArray:
     """Return pseudo-random numbers of 32 bits, int64, by the hash function "lowbias32" (C. Wellons, 2018).
 
-    Those of different values of 32 bits differ; higher bits are ignored.
+    Different values of 32 bits have different results; higher bits are ignored.
     """
     mixed = values & 0xFFFFFFFF
     for shift, factor in ((16, 0x7FEB352D), (15, 0x846CA68B)):

@@ -26,7 +26,7 @@ _BACKGROUND = warp.constant(int(SegmentationLabel.BACKGROUND))
 
 @warp.func
 def compute_ray(pixel: int, width: int, intrinsics: warp.vec4) -> warp.vec3:
-    """Return the direction of the ray of a pixel, by number, in the camera's frame, with z = 1.
+    """Return the direction of the ray of the pixel with a number, in the camera's frame, with z = 1.
 
     `width` is that of the image (pixels); `intrinsics` are focal lengths and principal point (pixels).
     """
@@ -73,7 +73,7 @@ def cast_ray(
     start, direction = -(mesh_from_camera * origin), mesh_from_camera * ray
     hit = FaceHit()
     hit.face = -1
-    # Numbers that a loop changes must have a type.
+    # Warp needs an explicit type for numbers that a loop changes.
     begin, left = warp.float32(near), warp.int32(_MAX_BACK_FACES)
     while left >= 0:
         query = warp.mesh_query_ray(mesh, start + begin * direction, direction, far - begin)
@@ -141,7 +141,7 @@ def render_images(
     segmentation: warp.array2d[warp.uint8],
     rgb: warp.array3d[warp.uint8],
 ) -> None:
-    """Render the wanted bodies of w worlds where no other body and no ground is before them; one thread per pixel.
+    """Render the visible pixels of the wanted bodies of w worlds, in front of all else; one thread per pixel.
 
     Args:
         meshes: Identifiers (w, s) of the meshes; 0 for none.

@@ -1,4 +1,4 @@
-"""Simulation of many worlds in MuJoCo, in one thread. The states of a world do not depend on other worlds."""
+"""Simulation of many worlds in MuJoCo, in one thread. The worlds do not influence each other."""
 
 import functools
 from collections import OrderedDict
@@ -22,23 +22,23 @@ Array = npt.NDArray[np.float64]
 _STATE = mujoco.mjtState
 # Controls of a step in MuJoCo's order: actuator targets, then mocap poses.
 _CONTROLS = int(_STATE.mjSTATE_CTRL | _STATE.mjSTATE_MOCAP_POS | _STATE.mjSTATE_MOCAP_QUAT)
-# State that a step changes, the start of a state vector: all components from the time to the warm start.
+# Part of the state that a step changes, the first in a state vector: all components from time to warm start.
 _STEP_STATE = 2 * int(_STATE.mjSTATE_WARMSTART) - 1
 # Number of batches that are kept. A batch takes 2 MB and 1 ms to make; the scenes of s0 train need 37.
 _MAX_BATCHES = 64
 
 
 class WorldData:
-    """Model and state of a world during one episode, which starts in the initial state of the model.
+    """Model and state of a world during one episode; at first the initial state of the model.
 
     Args:
         scene: Model of the scene.
-        batch: Batch of one world of MuJoCo whose model has the layout of the scene's model. Worlds may share a
-            batch: each rollout starts with setting its state.
+        batch: MuJoCo batch of one world, for models with the array sizes of the scene's model. Worlds may share it,
+            since each rollout sets its state first.
 
     Attributes:
-        batch: Batch of MuJoCo that simulates the world.
-        released: Whether the human has released the target object.
+        batch: MuJoCo batch that simulates the world.
+        released: Whether the person has released the target object.
         qpos: Joint positions (q,); this and the following arrays are writable views.
         qvel: Joint velocities (v,).
         ctrl: Actuator targets (u,).
@@ -71,7 +71,7 @@ class WorldData:
         return self._variants[key]
 
     def release_object(self, gravity: float) -> None:
-        """Release the target object: it falls by `gravity`, along world z (m/s^2), and collides with other bodies."""
+        """Release the target object: `gravity` (world z, m/s^2) pulls it, and it collides with table and objects."""
         self.released = True
         body = self.scene.objects[0]
         self._forces[body, 2] = gravity * float(self.scene.model.body_mass[body])
@@ -97,7 +97,7 @@ class WorldData:
         check_warnings(batch)
 
     def set_step(self, controls: Array, sensordata: Array, step_state: Array) -> None:
-        """Set the state to that after one of the steps of `simulate`, from the values that it wrote for this step.
+        """Set the state to that after a step of `simulate`, given the values that `simulate` wrote for this step.
 
         Args:
             controls: Controls (c,) of the step.
@@ -118,7 +118,7 @@ class WorldData:
         return controls[..., :u], positions.reshape(*shape, m, 3), quaternions.reshape(*shape, m, 4)
 
     def _view(self, component: "mujoco.mjtState", columns: int | None = None) -> Array:
-        """Return the part of the state with a component, e.g. positions; as rows (n, columns) if `columns` is given."""
+        """Return a view of one component of the state, e.g. positions; as rows (n, columns) if `columns` is given."""
         model, bit = self.scene.model, int(component)
         # Components are stored in the order of their bits.
         first = mujoco.mj_stateSize(model, bit - 1)
@@ -238,12 +238,12 @@ class BatchSimulation:
 
 
 def _get_layout(model: "mujoco.MjModel") -> tuple[int, ...]:
-    """Return the array sizes of a model that are equal in all models that may share a batch."""
+    """Return the array sizes of a model; models that share a batch have equal ones."""
     return model.nq, model.nv, model.nu, model.nbody, model.ngeom, model.nbvh, model.nmocap, model.nsensordata
 
 
 def _accepts(batch: Batch, model: "mujoco.MjModel") -> bool:
-    """Return whether a batch can simulate a model, which it then has: its arrays have the same sizes."""
+    """Set the model of a batch; return whether this succeeds, which needs equal array sizes."""
     try:
         batch.set_models(model)
     except (ValueError, mujoco.FatalError):

@@ -18,8 +18,8 @@ from handover_marl.simulation.world import NO_POINTS, Contacts, RolloutContacts,
 
 Array = npt.NDArray[np.float64]
 
-# Number of strongest contacts recorded with the object, for each finger and for the whole robot, and with the robot,
-# for each link of the human hand.
+# Number of strongest contacts that are recorded: of each finger with the target object, of the whole robot with it, and
+# of each link of the human hand with the robot.
 _FINGER_SLOTS, _ROBOT_SLOTS, _HAND_SLOTS = 8, 12, 4
 _FORCE = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)
 _POINT = _FORCE | sum(
@@ -120,7 +120,7 @@ class ContactSensors:
         Args:
             data: Sensor data (s,).
             qpos: Joint positions (q,) after the step.
-            released: Whether the human has released the object.
+            released: Whether the person has released the object.
         """
         force, hand_forces = float(self._sum_robot_forces(data)), data[self._hand]
         touches_hand = bool((hand_forces > 0.0).any())
@@ -151,7 +151,7 @@ class ContactSensors:
         """
         xp, touching = get_namespace(data), self._sum_robot_forces(data) > 0.0
         fingers, inside = (xp.zeros_like(data[..., :2], dtype=xp.bool) for _ in range(2))
-        # In arrays, points are computed in the few steps with contact only.
+        # With NumPy, points are computed only for the few steps with contact.
         steps = ... if is_tensor(data) else touching
         if steps is ... or touching.any():
             near = data[steps]

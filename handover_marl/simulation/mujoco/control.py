@@ -46,11 +46,11 @@ def compute_controls(worlds: Sequence[WorldData], targets: Array, objects: npt.N
 def count_hand_free_steps(
     worlds: Sequence[WorldData], robots: Sequence[RobotOnlySimulation], targets: Array, wrists: Array
 ) -> npt.NDArray[np.int_]:
-    """Return the number (w,) of steps, from the coming one on, in which the hand of each world cannot touch the robot.
+    """Return the number (w,) of next steps in which the hand of each world cannot touch the robot.
 
     Args:
         worlds: States of the worlds.
-        robots: Simulations of the robots alone.
+        robots: Simulations of the robots without hand and objects.
         targets: Joint targets (w, 9) of the robots (rad, m).
         wrists: Positions (w, n, 3) of the wrists in the coming steps (m).
     """

@@ -26,7 +26,7 @@ class MujocoDistanceQuery(DistanceQuery):
         self._pairs: dict[Path, _RobotHandPair] = {}
 
     def read_bounding_spheres(self, urdf: Path) -> dict[int, BoundingSphere]:
-        """Return a sphere around the collision shapes of each link that has some, by link number; -1 is the base."""
+        """Return the bounding spheres of all links with collision shapes, by link number; -1 is the base."""
         return compute_bounding_spheres(urdf, read_tree(urdf))
 
     def measure(self, hand_urdf: Path, robot: list[float], hand: list[float], max_distance: float) -> float:
@@ -52,7 +52,7 @@ class _RobotHandPair:
         self._hand = HandKinematics(hand_urdf, built.hand_links)
         is_hand = model.body_mocapid[model.geom_bodyid] >= 0
         self._pairs = np.array([(a, b) for a in np.flatnonzero(~is_hand) for b in np.flatnonzero(is_hand)])
-        # Margins that Bullet's hulls have in each pair (m).
+        # Sum of the collision margins of both shapes of each pair (m).
         self._margins = model.geom_margin[self._pairs].sum(axis=1)
 
     def measure(self, robot: list[float], hand: list[float], max_distance: float) -> float:

@@ -12,7 +12,7 @@ from handover_marl.geometry.rotations import euler_from_quaternions, find_neares
 
 
 def configure_engine() -> None:
-    """Disable MuJoCo's warning output in this process, unless the program handles it.
+    """Disable MuJoCo's warning output in this process, unless the program has set a handler.
 
     MuJoCo writes warnings to the console and to a log in the working folder; `check_warnings` reports them instead.
     """
@@ -54,7 +54,7 @@ def bullet_xyzw_from_wxyz(wxyz: AnyArray) -> AnyArray:
     """Convert quaternions (..., 4) from wxyz to xyzw, with the signs (q or -q) that Bullet would return."""
     xp, xyzw = get_namespace(wxyz), wxyz[..., XYZW]
     w, others = xyzw[..., 3:], xyzw[..., :3]
-    # Bullet reads quaternions off a matrix: w is positive if the trace is, else the largest other component.
+    # Bullet computes quaternions from matrices: w is positive if the trace is, else the largest other component is.
     place = xp.argmax(xp.abs(others), axis=-1)[..., None]
     largest = xp.take_along_dim(others, place, -1) if is_tensor(others) else np.take_along_axis(others, place, axis=-1)
     return xp.where(xp.where(xp.abs(w) > 0.5, w, largest) < 0.0, -xyzw, xyzw)

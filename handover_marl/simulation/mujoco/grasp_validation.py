@@ -1,8 +1,8 @@
 """Validation of grasps in simulation: a Panda hand without arm closes on an object and shakes it.
 
-Shapes, actuators and friction are the same as in scenes. The hand stays fixed and the direction of gravity changes
-instead. In the frame of a hand that is shaken without rotation this is equivalent. At the start the frame of the object
-is the world frame. Grasps are 4x4 matrices of the gripper in the object's frame.
+Shapes, actuators and friction are the same as in scenes. Instead of the hand, the direction of gravity changes, which
+is equivalent in the frame of a hand that moves without rotation. At the start, the object's frame is the world frame.
+Grasps are poses (4, 4) of the gripper in the object's frame.
 """
 
 import itertools
@@ -173,7 +173,7 @@ class GraspValidator:
         return float(np.linalg.norm(self._read_gripped_pose(grasp)[:3] - before[:3]))
 
     def _reset(self, grasp: Array) -> None:
-        """Reset the object to its initial pose, free and at rest, and the open hand to a grasp pose."""
+        """Reset the object to its initial pose, free and at rest, and set the open hand to a grasp pose (4, 4)."""
         mujoco.mj_resetData(self._model, self._data)
         self._hold_object(False)
         self._data.mocap_pos[self._reference], self._data.mocap_quat[self._reference] = 0.0, (1.0, 0.0, 0.0, 0.0)

@@ -1,9 +1,8 @@
-"""Sleeping MuJoCo worlds: while no body is near the robot, robot and objects move separately.
+"""Sleeping MuJoCo worlds: while no body is near the robot, robot and objects are simulated separately.
 
-The robot is simulated alone, and objects follow their reference as Bullet's motors would move them.
-A world sleeps from the start of a scene until a body comes near the robot or the target object is
-released. The step in which the world wakes depends on the positions of the bodies only, not on how
-steps are divided into calls.
+The robot is simulated alone, and objects follow their references as Bullet's motors would move them. A world sleeps
+from the start of a scene until a body comes near the robot or the target object is released; then it wakes. The step in
+which it wakes depends only on the positions of the bodies, not on how steps are divided into calls.
 """
 
 from collections import OrderedDict
@@ -25,9 +24,9 @@ Array = npt.NDArray[np.float64]
 
 # State that determines the robot's motion, apart from its target.
 _STATE = ("qpos", "qvel", "qacc_warmstart")
-# Number of cached rollouts. One of 200 steps takes 100 kB; waiting for two seconds takes ten.
+# Number of cached rollouts. A rollout of 200 steps takes 100 kB; two seconds take ten rollouts.
 _CACHE_SIZE = 256
-#: Largest number of worlds that are simulated in one call; sensor readings of more do not fit into the cache.
+#: Largest number of worlds that are simulated in one call; sensor data of more do not fit into the CPU's cache.
 MAX_WORLDS = 32
 _HALF = OBJECT_DOF // 2
 
@@ -77,10 +76,10 @@ class RobotOnlySimulation:
     def simulate(
         self, starts: Sequence[tuple[RobotTrajectory, int]], targets: Sequence[list[float]], steps: int
     ) -> list[RobotTrajectory]:
-        """Simulate up to 32 robots from rows of their trajectories on, and return the new trajectories.
+        """Simulate up to 32 robots, and return their trajectories.
 
         Args:
-            starts: Previous motion of each robot, and its row to start from.
+            starts: Previous trajectory of each robot, and the row in it from which the robot starts.
             targets: Nine joint targets of each robot (rad, m).
             steps: Number of steps to simulate.
 
@@ -119,7 +118,7 @@ class RobotOnlySimulation:
 
 
 class SleepState:
-    """Separate trajectories of robot and objects in a MuJoCo world that sleeps: no body is near the robot.
+    """State of a sleeping MuJoCo world: separate trajectories of robot and objects.
 
     Row k is step k of the current reference motion; row -1 is the state before its first step.
 
@@ -150,7 +149,7 @@ class SleepState:
         self._first, self._free = 0, 0
 
     def advance_rows(self, rows: int) -> None:
-        """Count rows from the start of the next reference motion, after `rows` simulated steps of the current one."""
+        """Count rows from the start of the next reference motion, which follows `rows` steps of the current one."""
         self._first -= rows
 
     @staticmethod
@@ -160,7 +159,7 @@ class SleepState:
         targets: Sequence[list[float]],
         hands: Sequence[BodyTrajectory],
     ) -> None:
-        """Simulate the robots alone from a step on; store for each robot the first step in which a body is near.
+        """Simulate the robots alone to the end of their reference motions; store when a body first comes near each.
 
         A body is near if the spheres around it and around the robot's links may touch.
 
@@ -191,11 +190,11 @@ class SleepState:
                 world._robot, world._first, world._free = robot, row, count
 
     def count_free_steps(self, row: int) -> int:
-        """Return the number of steps from `row` on before a body comes near the robot, from `simulate_robots`."""
+        """Return the number of steps from `row` on before a body comes near the robot; call `simulate_robots` first."""
         return self._free - (row - self._first)
 
     def write_state(self, row: int, qpos: Array, qvel: Array) -> None:
-        """Write positions of robot and objects, and velocities of the robot, after step `row` to arrays of a world."""
+        """Write positions of robot and objects, and velocities of the robot, after step `row` to `qpos` and `qvel`."""
         scene, done = self._scene, row + 1 - self._first
         qpos[scene.robot_qpos], qvel[scene.robot_qvel] = self._robot.joints[done], self._robot.velocities[done]
         qpos[scene.object_qpos] = self._compute_object_poses(row).ravel()

@@ -33,7 +33,7 @@ from handover_marl.simulation.world import (
 Array = npt.NDArray[np.float64]
 TruncateFunction = Callable[[int, int], None]
 
-# Steps of one rollout. Steps after a release or an episode's end are simulated in vain.
+# Steps of one rollout. Those after a release or an episode's end are discarded, so that more would waste time.
 _ROLLOUT_STEPS = 100
 
 
@@ -55,15 +55,15 @@ class MujocoWorld(RolloutWorld):
         OptionError: A window was requested.
 
     Attributes:
-        robot: Simulation of the robot alone.
-        hand: Trajectory of the hand, valid once it has tracked the reference; see `track_worlds`.
+        robot: Simulation of the robot without hand and objects.
+        hand: Trajectory of the hand under the current reference, valid after `track_worlds`.
         hand_kinematics: Kinematics of the hand's bodies in the model.
         sleep: Sleep state of the world, which `prepare` may end; None once the world is awake.
         reference: Current reference motion.
         row: Last simulated row of the reference motion.
         robot_target: Nine joint targets of the robot (rad, m) for which the controls were computed; None before the
             first computation.
-        is_tracked: Whether hand and sleeping objects have followed the current reference.
+        is_tracked: Whether the trajectories of hand and sleeping objects are those under the current reference.
         controls: Computed controls (n, c) of n steps from `controls_row` on.
         controls_row: Row of the reference motion at which `controls` starts.
         hand_free_steps: Number of steps from `controls_row` on in which the hand cannot touch the robot.
@@ -137,7 +137,7 @@ class MujocoWorld(RolloutWorld):
         judge: JudgeFunction,
         rules: ProtocolConfig,
     ) -> npt.NDArray[np.int_]:
-        """Simulate n worlds together for `steps` steps, or to their ends; return the numbers (n,) of steps."""
+        """Simulate n worlds for `steps` steps, or until their episodes end; return step counts (n,)."""
         simulated, running = np.zeros(len(worlds), dtype=np.int_), np.ones(len(worlds), dtype=bool)
         while rows := np.flatnonzero(running & (simulated < steps)).tolist():
             # Preparing a sleeping world may wake it, which changes its key.
@@ -163,7 +163,7 @@ class MujocoWorld(RolloutWorld):
 
     @classmethod
     def prepare(cls, worlds: Sequence["MujocoWorld"], robot_targets: Sequence[list[float]]) -> None:
-        """Compute the controls of each world's remaining steps after a change of targets or reference.
+        """Prepare worlds for their next step; compute the controls of their remaining steps if targets have changed.
 
         Pending releases become effective, and sleeping worlds wake if a body comes near the robot.
 
@@ -266,11 +266,11 @@ class MujocoWorld(RolloutWorld):
             self.sleep, self.robot_target = None, None
 
     def release_target(self) -> None:
-        """Release the target object from the human hand, from the next step on."""
+        """Release the target object from the human hand before the next step."""
         self._release_pending = True
 
     def read_contacts(self, released: bool) -> Contacts:
-        """Return the contacts of the last step; the target's with table and other objects only if it is `released`."""
+        """Return the contacts of the last step; those of the target with table or objects only if it is `released`."""
         if self.sleep is not None:
             return Contacts()
         data = self.data
@@ -324,7 +324,7 @@ class MujocoWorld(RolloutWorld):
         self.row, self._is_state_set = row, self.sleep is None
 
     def _set_state(self) -> None:
-        """Write the joint state of a sleeping world to `data`, which its steps do not update."""
+        """Write the joint state of a sleeping world to `data`, which steps of a sleeping world do not update."""
         if self.sleep is not None and not self._is_state_set:
             self.sleep.write_state(self.row, self.data.qpos, self.data.qvel)
             self._is_state_set = True

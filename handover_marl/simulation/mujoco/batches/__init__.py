@@ -1,1 +1,1 @@
-"""Batches of MuJoCo worlds on a GPU, or on the CPU as a device, by MuJoCo Warp."""
+"""Batches of worlds in MuJoCo Warp, on a GPU, or on the CPU in tests."""

@@ -1,4 +1,4 @@
-"""Worlds of one model layout that MuJoCo Warp steps together on a GPU, or on Warp's CPU device in tests.
+"""Worlds with one model layout that MuJoCo Warp steps together, on a GPU, or on the CPU in tests.
 
 MuJoCo Warp computes in single precision. The state of all worlds is in tensors on the device.
 """
@@ -57,11 +57,11 @@ class WarpRollout:
 
     Attributes:
         rows: Numbers (r,) of the worlds.
-        places: Index (d,) in `rows` of the world in each of the engine's first d rows.
-        scenes: Numbers (d,) of the scenes in these rows.
-        released: Whether the target objects in these rows are released, (d,).
+        places: For each of the d rows of the engine that are used, the index (d,) in `rows` of its world.
+        scenes: Numbers (d,) of the scenes in the engine's rows.
+        released: Whether the target objects in the engine's rows are released, (d,).
         states: Last states (r, ...) of the worlds while they ran, by name.
-        overflow: Bits (r,) of the engine's memory that was too small for a world while it ran.
+        overflow: Bits (r,) of the engine's buffers that were too small for a world while it ran.
     """
 
     rows: AnyArray
@@ -73,9 +73,9 @@ class WarpRollout:
 
 
 class WarpGroup:
-    """Worlds that MuJoCo Warp steps together, because their models have the same layout (shapes and constants).
+    """Worlds that MuJoCo Warp steps together: their models have the same layout, that is, array shapes and constants.
 
-    The batch has n worlds in all. Tensors of every group have n rows, of which a group uses those of its own worlds.
+    The batch has n worlds in several groups. Tensors of every group have n rows; it uses those of its own worlds.
 
     Args:
         scene: First scene of the group, padded to its layout with absent objects and hulls (`load_padded_model`).
@@ -100,7 +100,7 @@ class WarpGroup:
         self._graphs: dict[int, warp.Graph] = {}
         self._sensors = scene.contact_sensors.move_to(arrays)
         self.state = {name: arrays.xp.zeros_like(self._views[name]) for name in _STORED}
-        # The positions of orientation references do not change during an episode, and hands follow in each step.
+        # Mocap poses at the start of episodes; all but the positions of rotation references change in each step.
         self._mocap = {name: arrays.xp.zeros_like(self._views[name]) for name in ("mocap_pos", "mocap_quat")}
         self.released, self._scenes = arrays.zeros(count, "bool"), arrays.zeros(count, "int64")
         self._target_mass = arrays.zeros(count, "float32")
@@ -226,7 +226,7 @@ class WarpGroup:
         return self._arrays.xp.all(self._sensors.find_touching_fingers(self.state["sensordata"][rows]), axis=-1)
 
     def read_contacts(self, row: int, released: bool) -> Contacts:
-        """Return the last step's contacts of world `row`; the target's with table and objects only if `released`."""
+        """Return the contacts of world `row` in its last step, as `World.read_contacts` does."""
         data, qpos = (to_numpy(self.state[name][row]).astype(np.float64) for name in ("sensordata", "qpos"))
         return self.scene.contact_sensors.compute_contacts(data, qpos, released)
 
@@ -237,7 +237,7 @@ class WarpGroup:
         self._views[_FORCES][: len(rollout.places), body, 2] = weights * rollout.released
 
     def _step(self) -> None:
-        """Simulate one step of the first `nworld` rows of the engine's arrays, by a captured graph on a GPU."""
+        """Simulate one step of the first `nworld` rows of the engine's arrays, with a captured CUDA graph on a GPU."""
         model, data = self._model.model, self._data
         if data.nworld in self._graphs:
             warp.capture_launch(self._graphs[data.nworld])

@@ -1,7 +1,7 @@
 """MuJoCo Warp models whose worlds have different objects and hands.
 
-All worlds of a model have one layout. A world's own hulls, masses and motors are in a row of the model's arrays, which
-is copied on the device from the values of its scene.
+All worlds of a model have one layout: equal array sizes and constants. The hulls, masses and motors in which worlds
+differ are in rows of the model's arrays, one for each world, which are copied on the device from the world's scene.
 """
 
 import copy
@@ -23,7 +23,7 @@ from handover_marl.geometry.arrays import AnyArray, ArrayFactory, RowBank, expan
 from handover_marl.simulation.mujoco.models.scene_model import SceneModel, load_scene_model
 from handover_marl.simulation.mujoco.models.scene_spec import ABSENT_PREFIX, ModelPadding, load_object_parts
 
-# Arrays with an entry for each mesh, vertex and polygon that are copied as they are.
+# Arrays with an entry for each mesh, each vertex or each polygon, which are copied as they are.
 _MESH_ARRAYS = ("mesh_vertnum", "mesh_polynum", "mesh_pos", "mesh_quat")
 _VERTEX_ARRAYS = ("mesh_vert", "mesh_polymapnum")
 _POLYGON_ARRAYS = ("mesh_polynormal", "mesh_polyvertnum")
@@ -92,8 +92,8 @@ def _select_mesh(model: "mujoco.MjModel", mesh: int) -> dict[str, npt.NDArray[np
     return arrays
 
 
-# Hulls of an object and objects besides the target are filled up to a multiple of these numbers. All scenes of DexYCB
-# with the grasped object only have one layout, and so have those with all objects.
+# The numbers of an object's hulls, and of objects besides the target, are padded to multiples of these. All scenes of
+# DexYCB with the grasped object only therefore have one layout, and so have those with all objects.
 _HULLS, _OTHER_OBJECTS = 80, 4
 # Arrays of a model in which the worlds differ.
 _ROW_FIELDS = (
@@ -190,7 +190,7 @@ class WarpModel:
         if model.nv > _MAX_DENSE:
             model.opt.jacobian = mujoco.mjtJacobian.mjJAC_AUTO
         self.source = model
-        # Absent hulls are left out of arrays of at least two rows only.
+        # MuJoCo Warp leaves out absent hulls only if arrays have at least two rows.
         self.model = mujoco_warp.put_model(model, dict.fromkeys(_ROW_FIELDS, max(worlds, 2)))
         # Version 4.0 leaves the velocity derivative of actuators out of the implicit integration of single free
         # bodies; without this list the objects are integrated like all other bodies.
@@ -213,10 +213,10 @@ class WarpModel:
         self.select_scenes(numbers, arrays.zeros(len(numbers), "bool"))
 
     def add_scene(self, scene: SceneModel) -> tuple[int, bool]:
-        """Copy a scene to the device, unless it is there.
+        """Copy a scene to the device, unless it is there already.
 
         Returns:
-            Number of the scene; and whether arrays of the model were replaced, so that a captured graph is invalid.
+            Number of the scene, and whether arrays of the model were replaced, so that a captured graph is invalid.
         """
         if scene in self._known:
             return self._known[scene], False

@@ -1,4 +1,4 @@
-"""Worlds of many episodes in MuJoCo Warp: robots, objects and hands whose state stays on the device."""
+"""Worlds of many episodes in MuJoCo Warp; the state of robots, objects and hands stays on the device."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,8 +24,8 @@ from handover_marl.simulation.worlds import Worlds
 class DeviceHands:
     """Hands of n worlds, which track their references as `BodyTrajectory` does, without contact.
 
-    The hands may have different sizes, but have the same joints. The argument `rows` (r,) of methods has the indices of
-    r of the worlds; other arrays have one row for each of them.
+    The hands may have different sizes, but have the same joints. Methods apply to the r worlds whose indices are in
+    their argument `rows` (r,); other arrays have r rows.
 
     Args:
         count: Number n of worlds.
@@ -103,7 +103,7 @@ class DeviceHands:
         return origins[:, 0, self._keypoint_links]
 
 
-# Physics steps whose controls are computed at a time: those of more steps take much memory.
+# Number of physics steps whose controls are computed at a time, limited by their memory.
 _CHUNK_STEPS = 25
 
 
@@ -127,7 +127,7 @@ class WarpWorlds(Worlds):
         self._n_objects = arrays.zeros(count, "int64")
 
     def reset(self, row: int, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
-        """Load a scene into world `row`; set hand and objects to the only row of `start`, the robot to nine joints.
+        """Load a scene into world `row`; set hand and objects to `start` (of one row), the robot to `robot_joints`.
 
         Raises:
             OptionError: MuJoCo Warp cannot simulate the scene with the others.
@@ -143,7 +143,7 @@ class WarpWorlds(Worlds):
         self._hands.reset(row, scene.assets.hand, start.hand[0] if start.hand_present[0] else None)
 
     def release_targets(self, rows: AnyArray) -> None:
-        """Release the target objects of the worlds `rows` (r,) from the human hands, from the next step on."""
+        """Release the target objects of the worlds `rows` (r,) from the human hands before the next step."""
         for group in self._groups.values():
             group.released[rows] = True
 
@@ -155,7 +155,7 @@ class WarpWorlds(Worlds):
         judge: JudgeFunction,
         rules: ProtocolConfig,
     ) -> AnyArray:
-        """Simulate r worlds for all steps of `reference`, or to their ends; return the numbers (r,) of steps.
+        """Simulate r worlds for all steps of `reference`, or until their episodes end; return step counts (r,).
 
         The function `judge` gets the contacts of single steps; worlds that have ended keep their last state.
         """
@@ -215,7 +215,7 @@ class WarpWorlds(Worlds):
         return grasped
 
     def read_contacts(self, row: int, released: bool) -> Contacts:
-        """Return the last step's contacts of world `row`; the target's with table and objects only if `released`."""
+        """Return the contacts of world `row` in its last step, as `World.read_contacts` does."""
         ((group, _),) = self._split(self._arrays.asarray([row]))
         return group.read_contacts(row, released)
 

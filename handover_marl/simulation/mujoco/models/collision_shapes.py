@@ -21,9 +21,9 @@ from handover_marl.simulation.mujoco.engine import wxyz_from_xyzw
 
 Array = npt.NDArray[np.float64]
 
-# Bullet computes a link's inertia from a box that is larger than its hulls by these lengths (m) on
-# each side: the hulls' margin and twice that of the compound shape. A hull with a pose of its own
-# is in one more compound.
+# Bullet computes a link's inertia from a box that is larger than the link's hulls on each side: by the margin of the
+# hulls and twice that of the compound shape (m), and by another margin for a hull with a pose of its own, which is in
+# one more compound shape (m).
 _HULL_PADDING, _POSED_HULL_PADDING = 0.003, 0.001
 
 
@@ -113,7 +113,7 @@ def compute_box_inertia(link: UrdfLink, parts: Sequence[ConvexPart]) -> Array:
 
 
 def compute_bounding_spheres(urdf: Path, tree: KinematicTree) -> dict[int, BoundingSphere]:
-    """Compute a sphere around the collision shapes of each link that has some, by link number; -1 is the base.
+    """Compute the bounding spheres of all links with collision shapes, by link number; -1 is the base.
 
     Raises:
         SimulationError, DataFormatError: The model or one of its meshes cannot be read.
@@ -136,7 +136,7 @@ def _compute_bounds(parts: Sequence[ConvexPart], has_offset: bool) -> tuple[Arra
 
 @functools.lru_cache(maxsize=4096)
 def _compute_part_bounds(part: ConvexPart, has_offset: bool) -> tuple[Array, Array]:
-    """Return lower and upper corner (m) of the box, in the link's frame, around a part's box, as Bullet does."""
+    """Return lower and upper corner (m) of Bullet's bounding box of a part, along the axes of the link's frame."""
     points = part.list_extreme_points()
     padding = 0.0
     if part.kind == "hull":
@@ -177,7 +177,7 @@ def set_inertia(body: "mujoco.MjsBody", link: UrdfLink, parts: list[ConvexPart])
 
 
 class CollisionGroup(IntFlag):
-    """Collision groups: bits of MuJoCo's contype and conaffinity. The Panda collides with all."""
+    """Collision groups: bits of MuJoCo's contype and conaffinity. The Panda collides with all groups."""
 
     ROBOT = 1
     OBJECT = 2

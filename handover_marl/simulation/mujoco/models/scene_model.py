@@ -72,14 +72,14 @@ class SceneModel:
         objects: Body numbers (m,) of the objects.
         object_qpos: Indices in `qpos` of the objects' positions and quaternions wxyz, object by object.
         object_qvel: Indices in `qvel` of the objects' velocities, linear in the world frame, angular in the object's.
-        object_ctrl: Indices in `ctrl` of the six actuators of each object: world xyz, then the
-            rotation relative to the reference.
-        rotation_references: Mocap numbers of the m bodies with the objects' target orientations.
+        object_ctrl: Indices in `ctrl` of the six actuators of each object: world xyz, then rotation relative to the
+            object's rotation reference.
+        rotation_references: Mocap numbers of the m bodies that have the target orientations of the objects.
         hand: Mocap numbers of the k bodies of the hand.
         hand_links: Link numbers (k,) of the bodies of the hand.
         robot_only: Model without hand and objects, in which robot bodies have the same numbers.
-        hand_reach: Largest distance of the hand's points from the origin of its wrist joints (m).
-        object_reaches: Largest distance (m,) of each object's points from its origin (m).
+        hand_reach: Largest distance of any point of the hand from the origin of its wrist joints (m).
+        object_reaches: Largest distances (m,) of any point of each object from its origin, in m.
     """
 
     model: "mujoco.MjModel"
@@ -102,10 +102,11 @@ class SceneModel:
 
 @functools.lru_cache(maxsize=64)
 def select_variant(scene: SceneModel, released: bool, hand_collides: bool) -> "mujoco.MjModel":
-    """Return a variant of a scene's MuJoCo model, in which the hand collides, and actuators hold the target object.
+    """Return the variant of a scene's MuJoCo model for the present state of an episode.
 
-    If `released`, the object's actuators are off and it collides with supports. Unless `hand_collides`, the hand does
-    not collide, and steps take a tenth less time.
+    In the model itself, the hand collides and actuators hold the target object. In the variant for `released`, these
+    actuators are off and the object collides with supports. Without `hand_collides`, the hand does not collide, and
+    steps take a tenth less time.
     """
     if hand_collides and not released:
         return scene.model
@@ -128,7 +129,7 @@ def load_scene_model(assets: SceneAssets, config: PhysicsConfig, padding: ModelP
     Args:
         assets: Model files of the scene.
         config: Constants of the world.
-        padding: Sizes to fill the model up to; the indices refer to the scene's own objects.
+        padding: Sizes to which the model is padded; the indices are those of the scene's own objects.
 
     Raises:
         SimulationError, DataFormatError: A model or a mesh cannot be read, or MuJoCo rejects it.

@@ -50,9 +50,9 @@ _CONTACT_TIME, _CONTACT_IMPEDANCE, _IMPRATIO = 0.003, (0.95, 0.99, 0.001), 10.0
 
 ROBOT_BASE, TABLE = "robot", "table"
 _ALL_GROUPS, _NO_GROUP = CollisionGroup(sum(CollisionGroup)), CollisionGroup(0)
-# Of two geoms in contact, the friction of the one with the higher priority counts.
+# The friction of a contact is that of the geom with the higher priority.
 _SUPPORT_PRIORITY, _ROBOT_PRIORITY, _FINGER_PRIORITY = 1, 1, 2
-# Pairs of the Panda's links that stay more than 1 cm apart within the joint limits, besides neighbours.
+# Pairs of the Panda's links that stay more than 1 cm apart within the joint limits, besides neighbors.
 _NEVER_COLLIDING = (
     (ROBOT_BASE, "panda_link2"),
     ("panda_link1", "panda_link3"),
@@ -68,7 +68,7 @@ _NEVER_COLLIDING = (
 
 @dataclass(frozen=True)
 class ModelPadding:
-    """Sizes to which the model of a scene is filled up, so that models of many scenes have one layout.
+    """Sizes to which a scene's model is padded, so that the models of many scenes have one layout.
 
     Absent objects and hulls are in the model as small bodies and tetrahedra. The target object has each hull twice:
     one collides with the robot, the other, once the object is released, with everything else.
@@ -118,7 +118,7 @@ class SceneModelBuilder:
         config: Poses and motors of robot, table, objects and hand.
         object_friction: Friction coefficient of the target object.
         spec: Specification to extend, for example with a workcell; None for an empty one.
-        padding: Sizes to fill the model up to; None leaves the model as it is.
+        padding: Sizes to which the model is padded; None for no padding.
 
     Attributes:
         spec: MuJoCo specification of the model under construction.
