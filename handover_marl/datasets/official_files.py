@@ -113,14 +113,16 @@ def describe_origins(kind: str, *origins: FileOrigin) -> list[str]:
     return [f"{kind} of unknown origin"] if FileOrigin.UNKNOWN in origins else []
 
 
-def require_file(path: Path) -> Path:
-    """Return a path if it is a readable plain file, else raise an error.
+_FILE_ADVICE = "list what is missing with handover-marl doctor, and copy or expand the HandoverSim data again"
+
+
+def require_file(path: Path, advice: str = _FILE_ADVICE) -> Path:
+    """Return a path if it is a readable plain file, else raise an error that ends with `advice`.
 
     Raises:
         DataNotFoundError: The file is missing.
         DataFormatError: The file cannot be read or is too large, or the path is a folder, pipe or device.
     """
-    advice = "list what is missing with handover-marl doctor, and copy or expand the HandoverSim data again"
     with report_damage(path, "file", advice):
         check_plain_file(path)
     return path

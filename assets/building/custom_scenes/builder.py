@@ -15,6 +15,7 @@ import trimesh
 from rich.console import Console
 
 from handover_marl.assets.building.custom_scenes.finger_closing import close_hand
+from handover_marl.assets.building.custom_scenes.motion_checks import check_motion, check_objects
 from handover_marl.assets.building.custom_scenes.motion_tables import (
     OBJECT,
     MotionConfig,
@@ -31,9 +32,6 @@ from handover_marl.datasets.custom.dataset import (
     MOTION_FOLDER,
     OBJECT_FOLDER,
     CustomDataset,
-    check_hand,
-    check_objects,
-    check_start,
     get_motion_path,
 )
 from handover_marl.datasets.custom.scene_file import (
@@ -211,7 +209,7 @@ class CustomSceneFolder:
         if hand is not None and table.wrist is None:
             raise DataFormatError("the motion has no wrist; add its poses, or pass hand=None")
         urdfs = [self._find_urdf(item) for item in names]
-        bodies = {body: read_collision_mesh(urdf)[0] for body, urdf in zip((OBJECT, *others), urdfs, strict=True)}
+        bodies = _read_bodies(names, urdfs)
         check_objects(make_trajectory(table, others, None, None)["object_dof"], bodies)
         model, fingers = None, table.fingers
         if hand is not None:
@@ -219,10 +217,8 @@ class CustomSceneFolder:
             if fingers is None:
                 table, fingers = close_hand(table, read_solid(urdfs[0]), hand, cast(Side, side))
         arrays = make_trajectory(table, others, model, fingers)
-        check_start(arrays["object_dof"], arrays["hand_dof"], arrays["hand_span"][0], bodies)
-        if model is not None:
-            frames = slice(arrays["hand_span"][0], arrays["hand_span"][1] + 1)
-            check_hand(arrays["hand_dof"][frames], arrays["object_dof"][frames])
+        first, last = (None, None) if model is None else arrays["hand_span"].tolist()
+        check_motion(arrays["object_dof"], arrays["hand_dof"], first, last, bodies)
         if recording is not None:
             _check_name("recording", recording)
         with self._change(MOTION_FOLDER) as content:
@@ -275,8 +271,9 @@ class CustomSceneFolder:
         for item in dataset.content.objects:
             check_model(dataset.find_object_urdf(item.name), OBJECT_DOF)
             dataset.load_grasps(item.name)
-        for scene_id in range(dataset.n_scenes):
-            dataset.load_scene(scene_id)
+        for scene in map(dataset.load_scene, range(dataset.n_scenes)):
+            bodies = _read_bodies(scene.info.object_names, scene.assets.objects)
+            check_motion(scene.object_dof, scene.hand_dof, scene.hand_first, scene.hand_last, bodies)
         return dataset
 
     def _find_urdf(self, name: str) -> Path:
@@ -292,6 +289,11 @@ class CustomSceneFolder:
                 yield self.content
         except OSError as error:
             raise ResultsError(f"cannot write to {self.folder} ({error.strerror or error})") from error
+
+
+def _read_bodies(names: Sequence[str], urdfs: Sequence[Path]) -> dict[str, npt.NDArray[np.float64]]:
+    """Return the vertices (v, 3) in m of objects by their names in recordings, from the URDFs of classes `names`."""
+    return {body: read_collision_mesh(urdf)[0] for body, urdf in zip((OBJECT, *names[1:]), urdfs, strict=True)}
 
 
 def _check_name(argument: str, value: object, reserved: Collection[str] = ()) -> str:

@@ -20,9 +20,9 @@ import numpy.typing as npt
 from scipy.interpolate import interp1d
 from scipy.spatial.transform import Rotation, Slerp
 
+from handover_marl.assets.building.custom_scenes.motion_checks import DURATION, MAX_FINGER_ANGLE
 from handover_marl.assets.hand_model import HandGeometry
 from handover_marl.config import HAND_DOF, TABLE_HEIGHT, TIME_STEP
-from handover_marl.datasets.custom.dataset import DURATION, MAX_FINGER_ANGLE
 from handover_marl.datasets.generated.motion import resample_fingers, resample_poses
 from handover_marl.errors import DataFormatError, OptionError, check_name
 from handover_marl.execution.files import shorten_text

@@ -19,9 +19,6 @@ from handover_marl.assets.shipped import (
     format_visual,
     read_palette_files,
 )
-from handover_marl.datasets.custom.dataset import EXTENT, MAX_OFFSET
-from handover_marl.datasets.custom.scene_file import FRICTION as FRICTION_RANGE
-from handover_marl.datasets.custom.scene_file import MASS
 from handover_marl.errors import DataFormatError, OptionError, check_name
 from handover_marl.execution.options import require_modules
 from handover_marl.execution.reading import check_plain_file, report_damage
@@ -30,10 +27,12 @@ from handover_marl.geometry.model_files.obj_files import format_convex_parts, re
 
 Array = npt.NDArray[np.float64]
 
+# Smallest and largest mass (kg), largest extent of an object, and distance of its centre from its frame's origin (m).
+_MASS, _EXTENT, _MAX_OFFSET = (1e-3, 20.0), (0.005, 0.7), 0.7
 #: Metres in each unit of length.
 UNITS: Final = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
 _LIMITS: Final = {
-    **{"scale": (1e-6, 1e6), "mass": MASS, "density": (1.0, 30_000.0), "friction": FRICTION_RANGE},
+    **{"scale": (1e-6, 1e6), "mass": _MASS, "density": (1.0, 30_000.0), "friction": (0.0, 10.0)},
     "concavity": (0.01, 1.0),
 }
 _MAX_BYTES, _MAX_FACES = 1_000_000_000, 20_000
@@ -111,9 +110,9 @@ def make_object_mesh(source: "str | Path | trimesh.Trimesh", config: MeshConfig)
     parts = tuple(trimesh.Trimesh(*compute_convex_hull(part), process=False) for part in corners)
     volume = sum(float(part.volume) for part in parts)
     mass = config.mass if config.mass is not None else (config.density or 300.0) * volume
-    if not MASS[0] <= mass <= MASS[1]:
+    if not _MASS[0] <= mass <= _MASS[1]:
         raise DataFormatError(
-            f"{name}: mass must be {MASS[0]:g} to {MASS[1]:g} kg, got {mass:.3g} kg from the volume {volume:.3g} "
+            f"{name}: mass must be {_MASS[0]:g} to {_MASS[1]:g} kg, got {mass:.3g} kg from the volume {volume:.3g} "
             "m^3; give mass or density"
         )
     return ObjectMesh(mesh, parts, mass, tuple(repairs))
@@ -175,7 +174,7 @@ def _repair_mesh(mesh: trimesh.Trimesh, config: MeshConfig, name: str) -> tuple[
 
 
 def _check_size(mesh: trimesh.Trimesh, config: MeshConfig, name: str) -> None:
-    extents, (low, high) = np.asarray(mesh.extents), EXTENT
+    extents, (low, high) = np.asarray(mesh.extents), _EXTENT
     largest, distance = float(extents.max()), float(np.linalg.norm(mesh.bounds.mean(axis=0)))
     if not low <= largest <= high:
         metres = largest / UNITS[config.unit]
@@ -185,7 +184,7 @@ def _check_size(mesh: trimesh.Trimesh, config: MeshConfig, name: str) -> None:
             f"{name}: the largest extent must be {low} to {high} m, got {' x '.join(f'{size:.3g}' for size in extents)}"
             f" m in unit {config.unit!r}; {advice}"
         )
-    if distance > MAX_OFFSET:
+    if distance > _MAX_OFFSET:
         raise DataFormatError(
             f"{name}: the body must be near the origin of its frame, got a distance of {distance:.3g} m; move it"
         )

@@ -20,16 +20,15 @@ import numpy as np
 from handover_marl.config import HAND_DOF
 from handover_marl.datasets.dexycb.mano import N_BETAS
 from handover_marl.datasets.dexycb.mano_rotations import MIN_KEYFRAMES, Float32, Float64
-from handover_marl.datasets.official import check_scene_meta
-from handover_marl.errors import DataNotFoundError
+from handover_marl.datasets.official import check_scene_meta, read_motion
+from handover_marl.errors import DataFormatError, DataNotFoundError
 from handover_marl.execution.files import shorten_text
-from handover_marl.execution.reading import read_arrays, read_yaml, report_damage
+from handover_marl.execution.reading import read_yaml, report_damage
 from handover_marl.geometry.ycb import SUBJECTS
 
 SEQUENCES_PER_SUBJECT = 100
 _KIND_AND_ADVICE = "file of DexYCB", "the download may be incomplete, expand DexYCB's archives again"
 _MAX_YAML_BYTES = 64_000  # official files have a few thousand
-_MAX_POSE_BYTES = 2_000_000  # unpacked; official files have some ten thousand
 
 
 @dataclass(frozen=True)
@@ -176,14 +175,7 @@ def _read_numbers(path: Path, count: int, *keys: str) -> Float64:
 
 
 def _read_poses(path: Path, n_objects: int) -> tuple[Float32, Float32]:
-    with report_damage(path, *_KIND_AND_ADVICE):
-        arrays = read_arrays(path, ("pose_y", "pose_m"), _MAX_POSE_BYTES)
-        objects, hand = (arrays[name].astype(np.float32) for name in ("pose_y", "pose_m"))
-        n = len(objects)
-        if objects.shape != (n, n_objects, 7) or hand.shape != (n, 1, HAND_DOF):
-            raise ValueError(f"shapes {objects.shape} of {n_objects} objects and {hand.shape} of the hand")
-        if not (np.isfinite(objects).all() and np.isfinite(hand).all()):
-            raise ValueError("a pose is not finite")
-        if np.count_nonzero(hand.any(axis=(1, 2))) < MIN_KEYFRAMES:
-            raise ValueError(f"{n} frames, of which few have a hand")
+    objects, hand = read_motion(path, {"pose_y": (n_objects, 7), "pose_m": (1, HAND_DOF)}, _KIND_AND_ADVICE[1])
+    if np.count_nonzero(hand.any(axis=(1, 2))) < MIN_KEYFRAMES:
+        raise DataFormatError(f"{path}: {len(hand)} frames, of which few have a hand; {_KIND_AND_ADVICE[1]}")
     return objects, hand[:, 0]

@@ -220,9 +220,9 @@ DAMAGES: list[tuple[Callable[[SequenceFolder], Any], str]] = [
     (lambda sequence: (sequence.folder / "meta.yml").write_bytes(b""), r"meta\.yml.*expand"),
     (lambda sequence: (sequence.folder / "meta.yml").write_bytes(b"a: [\xff"), r"meta\.yml.*expand"),
     (lambda sequence: (sequence.folder / "pose.npz").write_bytes(b"PK"), r"pose\.npz.*expand"),
-    (save_poses(pose_y=OBJECTS[:, :1]), "of 2 objects"),
-    (save_poses(pose_m=HAND[:-1]), "of the hand"),
-    (save_poses(pose_y=np.full_like(OBJECTS, np.inf)), "not finite"),
+    (save_poses(pose_y=OBJECTS[:, :1]), r"pose_y must be finite numbers of shape \('T', 2, 7\)"),
+    (save_poses(pose_m=HAND[:-1]), "pose_m must be finite"),
+    (save_poses(pose_y=np.full_like(OBJECTS, np.inf)), "pose_y must be finite"),
     (save_poses(pose_m=np.zeros_like(HAND)), "few have a hand"),
     (lambda sequence: write_yaml(extrinsics_file(sequence.folder.parents[1]), {}), "KeyError: 'extrinsics'"),
     (
