@@ -22,20 +22,6 @@ _PALM_MASS, _FINGER_MASS = 0.2, 0.02  # kg
 _MAX_ANGLES = (math.pi, math.pi / 2, math.pi)
 
 
-def build_hand_urdf(joints: npt.NDArray[np.float64]) -> str:
-    """Return the text of a `mano.urdf`, 53 links, 16 with meshes, for a hand with MANO's joints (16, 3) at rest (m)."""
-    positions = [joints[0], *(joints[joint] - joints[PARENTS[joint]] for joint in range(1, len(joints)))]
-    return render_urdf(
-        __package__,
-        "hand.urdf",
-        positions=[format_numbers(*position) for position in positions],
-        parents=PARENTS,
-        palm_mass=format_numbers(_PALM_MASS),
-        finger_mass=format_numbers(_FINGER_MASS),
-        limits=[(format_numbers(-angle), format_numbers(angle)) for angle in _MAX_ANGLES],
-    )
-
-
 def format_numbers(*numbers: float) -> str:
     """Return numbers as the text of a URDF attribute.
 
@@ -101,7 +87,18 @@ def write_hand_assets(assets: Path, subject: str, model: ManoModel, betas: Seque
     """
     vertices = model.shape_vertices(betas)
     joints = model.regress_joints(vertices)
-    files = {"mano.urdf": build_hand_urdf(joints).encode()}
+    positions = [joints[0], *(joints[joint] - joints[PARENTS[joint]] for joint in range(1, N_JOINTS))]
+    # 53 links, 16 with meshes.
+    urdf = render_urdf(
+        __package__,
+        "hand.urdf",
+        positions=[format_numbers(*position) for position in positions],
+        parents=PARENTS,
+        palm_mass=format_numbers(_PALM_MASS),
+        finger_mass=format_numbers(_FINGER_MASS),
+        limits=[(format_numbers(-angle), format_numbers(angle)) for angle in _MAX_ANGLES],
+    )
+    files = {"mano.urdf": urdf.encode()}
     for kind in ("visual", "collision"):
         for joint in range(N_JOINTS):
             weight = _MIN_ROOT_WEIGHT if kind == "collision" and joint in _ROOT_JOINTS else _MIN_WEIGHT

@@ -3,7 +3,6 @@
 import functools
 import os
 from collections.abc import Callable, Iterable
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -86,7 +85,7 @@ def import_dexycb(
         dexycb: Folder that DexYCB's archives were expanded into.
         mano: Folder with `MANO_RIGHT.pkl` and `MANO_LEFT.pkl`, or with both in `models/`.
         out: Data folder to create or to complete, with `dex-ycb-cache/` and `assets/`.
-        third_party: HandoverSim's archive of meshes and grasps, or the folder that it was unpacked
+        third_party: HandoverSim's archive (tar) of meshes and grasps, or the folder that it was unpacked
             into. Without it, substitutes (stand-ins) are made from DexYCB's `models/`: convex parts
             by CoACD (extra `import`), the library's grasps and PyBullet's Panda.
         scenes: Scene numbers to import; default: all.
@@ -95,8 +94,8 @@ def import_dexycb(
 
     Raises:
         DataNotFoundError: A folder or one of MANO's files is missing.
-        UnsafeFileError: One of MANO's files may run code, or the archive has unsafe paths.
-        DataFormatError: One of MANO's files or the archive is damaged.
+        UnsafeFileError: One of MANO's files may run code.
+        DataFormatError: One of MANO's files or the archive is damaged, or the archive has unsafe paths.
         SceneError: A scene number does not exist, or there is none.
         OptionError: `workers` is less than one, a folder is not a path, or PyBullet, which has the table, is
             not installed.
@@ -121,17 +120,11 @@ def import_dexycb(
         return functools.partial(_import_sequence, read_mano_models(folder), betas, target)
 
     imported: list[int] = []
-    pool = PoolConfig(n_workers)
-    try:
-        with closing(map_with_progress(prepare, chosen, "scenes", pool, progress)) as results:
-            for sequence, fault in results:
-                if fault:
-                    faults.append(fault)
-                else:
-                    imported.append(sequence.scene_id)
-    finally:
-        # Temporary files of killed or interrupted workers.
-        remove_stale_temporaries(target / CACHE_FOLDER)
+    for sequence, fault in map_with_progress(prepare, chosen, "scenes", PoolConfig(n_workers), progress):
+        if fault:
+            faults.append(fault)
+        else:
+            imported.append(sequence.scene_id)
     if archive is None:
         faults += write_stand_ins(raw / "models", assets, n_workers, progress)
     required = list_required_files()

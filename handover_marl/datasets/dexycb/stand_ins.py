@@ -8,10 +8,8 @@ PyBullet's Panda. Stand-in files and all results made with them are marked as su
 
 import functools
 import io
-import itertools
 import tarfile
 import tempfile
-import zipfile
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -30,73 +28,40 @@ from handover_marl.datasets.official_files import (
     classify_file_origin,
     read_third_party_checksums,
 )
-from handover_marl.errors import DataFormatError, DataNotFoundError, UnsafeFileError
-from handover_marl.execution.files import shorten_text
+from handover_marl.errors import DataFormatError
 from handover_marl.execution.options import PoolConfig
 from handover_marl.execution.pool import map_with_progress
-from handover_marl.execution.reading import check_archive
+from handover_marl.execution.reading import check_plain_file, report_damage
 from handover_marl.geometry.model_files.meshes import compute_convex_hull, decompose_convex
 from handover_marl.geometry.model_files.obj_files import format_convex_parts, read_obj
 from handover_marl.geometry.panda import PANDA_CAMERA
 from handover_marl.geometry.ycb import CLASS_NAMES
 
-#: Largest accepted size of an unpacked archive (bytes).
-MAX_UNPACKED_BYTES = 20_000_000_000
-
-
-@contextmanager
-def open_folder(source: Path) -> Iterator[Path]:
-    """Yield `source` if it is a folder, else a temporary folder with the content of a .tar, .tar.*, or .zip archive.
-
-    Raises:
-        DataNotFoundError: The source does not exist or is not a folder or plain file.
-        UnsafeFileError: The archive contains devices, symbolic links or paths to places outside itself.
-        DataFormatError: The archive is damaged or too large, or the file is not an archive.
-    """
-    try:
-        is_folder, is_file = source.is_dir(), source.is_file()
-    except OSError as error:  # such as a name that is too long
-        raise DataNotFoundError(f"cannot read {source} ({error.strerror or error})") from error
-    if is_folder:
-        yield source
-        return
-    if not is_file:
-        raise DataNotFoundError(f"{source} must be a folder or an archive, got no such file")
-    with tempfile.TemporaryDirectory() as folder:
-        try:
-            if zipfile.is_zipfile(source):
-                check_archive(source, MAX_UNPACKED_BYTES)
-                with zipfile.ZipFile(source) as zip_archive:
-                    zip_archive.extractall(folder)
-            else:
-                with tarfile.open(source) as archive:
-                    # Reading stops at the limit: a few compressed bytes can stand for terabytes.
-                    if any(size > MAX_UNPACKED_BYTES for size in itertools.accumulate(part.size for part in archive)):
-                        raise ValueError(f"it unpacks to more than {MAX_UNPACKED_BYTES / 1e6:g} MB")
-                    archive.extractall(folder, filter="data")
-        except tarfile.FilterError as error:
-            raise UnsafeFileError(
-                f"{source}: refused to unpack, {shorten_text(error)}; download it again, or unpack an archive that "
-                "you trust and pass the folder"
-            ) from error
-        except Exception as error:  # tarfile and zipfile raise exceptions of many kinds on damaged bytes
-            raise DataFormatError(
-                f"{source}: not a readable archive ({shorten_text(error)}); download it again"
-            ) from error
-        yield Path(folder)
-
-
-def find_plain_files(folder: Path) -> list[Path]:
-    """Return all regular files in a folder and its subfolders, sorted, without symbolic links."""
-    return sorted(path for path in folder.rglob("*") if path.is_file() and not path.is_symlink())
-
-
 #: File name of HandoverSim's archive of third-party files.
 ARCHIVE_NAME: Final = "assets-3rd-party-20220511.tar.gz"
+_ARCHIVE_ADVICE = f"give {ARCHIVE_NAME} of HandoverSim's authors, or the folder that it was unpacked into"
 
 _VISUAL_FILES = ("textured_simple.obj", "textured_simple.obj.mtl", "texture_map.png")
 _COLLISION_FILE = "model_normalized_convex.obj"
 _PANDA_MESH_FOLDER = "stand_in"
+
+
+@contextmanager
+def open_folder(source: Path) -> Iterator[Path]:
+    """Yield `source` if it is a folder, else a temporary folder with the content of a tar archive.
+
+    Raises:
+        DataNotFoundError: The source does not exist.
+        DataFormatError: The file is not a tar archive, is damaged, or contains devices, symbolic links or paths to
+            places outside itself.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        if not source.is_dir():
+            with report_damage(source, "tar archive", _ARCHIVE_ADVICE):
+                check_plain_file(source)
+                with tarfile.open(source) as archive:
+                    archive.extractall(folder, filter="data")
+        yield source if source.is_dir() else Path(folder)
 
 
 def install_third_party(source: Path, assets: Path) -> list[str]:
@@ -106,14 +71,13 @@ def install_third_party(source: Path, assets: Path) -> list[str]:
     Returns warnings about files whose content has another checksum than the official one.
 
     Raises:
-        DataNotFoundError: The source is missing or cannot be read.
-        UnsafeFileError: The archive has devices, symbolic links or paths to places outside itself.
-        DataFormatError: The source is damaged, or has none of the files.
+        DataNotFoundError, DataFormatError: The source is missing or damaged (`open_folder`), or has none of the files.
         ResultsError: A file exists with other content, or cannot be written.
     """
     unknown = []
     with open_folder(source) as folder:
-        targets = _match_paths(source, [path.relative_to(folder) for path in find_plain_files(folder)])
+        paths = sorted(path for path in folder.rglob("*") if path.is_file() and not path.is_symlink())
+        targets = _match_paths(source, [path.relative_to(folder) for path in paths])
         for path, target in targets.items():
             content = (folder / path).read_bytes()
             write_missing_files(assets, {target: content}, replace_stand_ins=True)
@@ -138,10 +102,7 @@ def _match_paths(source: Path, paths: Iterable[Path]) -> dict[Path, str]:
             if place in wanted:
                 roots[Path(*path.parts[:depth])][path] = place
     if not roots:
-        raise DataFormatError(
-            f"{source} holds none of the files that are wanted, such as {next(iter(wanted))}; give {ARCHIVE_NAME} of "
-            "HandoverSim's authors, or the folder that it was unpacked into"
-        )
+        raise DataFormatError(f"{source} holds none of the files, such as {next(iter(wanted))}; {_ARCHIVE_ADVICE}")
     if len(roots) > 1:
         first, second, *_ = (str(root) for root in roots)
         raise DataFormatError(

@@ -78,6 +78,11 @@ def test_files_are_installed(tmp_path: Path) -> None:
     assert f"1 of the {len(FILES)} " in note
     assert "grasps/003_cracker_box.npy" in note, "the one whose sum is known"
     assert read_files(tmp_path / "assets") == FILES
+    # Links in a folder are ignored.
+    (tmp_path / "assets" / "025_mug").mkdir()
+    (tmp_path / "assets" / "025_mug" / "texture_map.png").symlink_to("/etc/passwd")
+    install_third_party(tmp_path / "assets", tmp_path / "others")
+    assert read_files(tmp_path / "others") == FILES
 
 
 @pytest.mark.slow
