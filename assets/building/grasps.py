@@ -33,7 +33,7 @@ from handover_marl.assets.shipped import (
     VALIDATION_PATH,
     ValidationRecord,
     find_object_urdf,
-    load_validation_records,
+    load_shipped_arrays,
 )
 from handover_marl.datasets import open_dataset
 from handover_marl.datasets.generated.grasps import draw_human_grasps, draw_robot_grasps
@@ -197,7 +197,7 @@ def build_grasp_validations(
             kept.
         workers: Number of worker processes; default: one per core.
     """
-    records = {} if data_dir else dict(load_validation_records(out))
+    records = {} if data_dir or not out.exists() else dict(load_shipped_arrays(out))
     folders = (None, data_dir) if data_dir else (None,)
     # The second robot comes last and reuses results of the first.
     tasks = [(folder, robot, name) for folder in folders for robot in ROBOTS for name in CLASS_NAMES.values()]

@@ -15,7 +15,6 @@ import trimesh
 from rich.console import Console
 
 from handover_marl.assets.building.custom_scenes.finger_closing import close_hand
-from handover_marl.assets.building.custom_scenes.motion_checks import check_motion, check_objects
 from handover_marl.assets.building.custom_scenes.motion_tables import (
     OBJECT,
     MotionConfig,
@@ -34,6 +33,7 @@ from handover_marl.datasets.custom.dataset import (
     CustomDataset,
     get_motion_path,
 )
+from handover_marl.datasets.custom.motion_checks import check_motion, check_objects
 from handover_marl.datasets.custom.scene_file import (
     RESERVED_SETUPS,
     SCENE_FILE,

@@ -10,7 +10,7 @@ names `object`, `wrist` and those of the other objects' classes.
 """
 
 import csv
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -20,9 +20,9 @@ import numpy.typing as npt
 from scipy.interpolate import interp1d
 from scipy.spatial.transform import Rotation, Slerp
 
-from handover_marl.assets.building.custom_scenes.motion_checks import DURATION, MAX_FINGER_ANGLE
 from handover_marl.assets.hand_model import HandGeometry
 from handover_marl.config import HAND_DOF, TABLE_HEIGHT, TIME_STEP
+from handover_marl.datasets.custom.motion_checks import DURATION, MAX_FINGER_ANGLE
 from handover_marl.datasets.generated.motion import resample_fingers, resample_poses
 from handover_marl.errors import DataFormatError, OptionError, check_name
 from handover_marl.execution.files import shorten_text
@@ -161,9 +161,8 @@ def _read_file(path: Path, config: MotionConfig) -> tuple[dict[str, Any], Motion
 
 def _parse_motive(path: Path, text: str, config: MotionConfig) -> tuple[dict[str, Any], MotionConfig]:
     """Return times and rigid bodies' poses (T, 7) in a CSV file of Motive, formats 1.2 to 1.25, and its units."""
-    reader = csv.reader(text.splitlines())
-    lines = [(reader.line_num, row) for row in reader if any(row)]
-    rows = [row for _, row in lines]
+    lines = [line for line in text.splitlines() if line.strip(", ")]
+    rows = list(csv.reader(lines))
     settings = dict(zip(rows[0][::2], rows[0][1::2], strict=False))
     for key, valid in (("Rotation Type", ("Quaternion",)), ("Length Units", tuple(_MOTIVE_LENGTHS))):
         if settings.get(key) not in valid:
@@ -175,7 +174,7 @@ def _parse_motive(path: Path, text: str, config: MotionConfig) -> tuple[dict[str
         first = 1 + next(number for number, row in enumerate(rows) if row[0] == "Frame")
         # Lines of type, name and ID of the columns, in newer formats of the parent, then of the part and the axis.
         columns = [*zip(rows[1], rows[2], rows[first - 2], rows[first - 1], strict=True)]
-        values = _parse_rows(path, lines[first:], len(columns))
+        values = _parse_rows(path, lines[first:], ",")
         arrays: dict[str, Any] = {TIME: values[:, 1]}
         for name in dict.fromkeys(name for kind, name, *_ in columns if kind == "Rigid Body"):
             keys = [("Position", axis) for axis in "XYZ"] + [("Rotation", axis) for axis in "XYZW"]
@@ -195,19 +194,18 @@ def _parse_csv(path: Path, text: str) -> dict[str, Any]:
 
     Cells are separated by commas, or by semicolons or tabs, which allow decimal commas.
     """
-    lines = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip()]
-    lines = [(number, line) for number, line in lines if not line.startswith("#")]
-    if lines and lines[0][1].lower().startswith("sep="):  # a line that Excel writes
-        del lines[0]
+    lines = [line for line in text.splitlines() if line.strip() and not line.startswith(("#", "sep="))]
     if len(lines) < 2:
         raise DataFormatError(f"{path}: the file {'has no rows' if lines else 'is empty'}; export it again")
-    separator = max(",", ";", "\t", key=lines[0][1].count)
-    header = [cell.strip() for cell in lines[0][1].split(separator)]
-    rows = ((number, line.split(separator)) for number, line in lines[1:])
-    columns = dict(zip(header, _parse_rows(path, rows, len(header)).T, strict=True))
-    if len(columns) < len(header):
-        twice = next(cell for cell in header if header.count(cell) > 1)
-        raise DataFormatError(f"{path}: column {shorten_text(twice)!r} must be there once, got it twice; rename one")
+    separator = max(",", ";", "\t", key=lines[0].count)
+    header = [cell.strip() for cell in lines[0].split(separator)]
+    values = _parse_rows(path, lines[1:], separator)
+    columns = dict(zip(header, values.T, strict=False))
+    if not len(columns) == len(header) == values.shape[1]:
+        raise DataFormatError(
+            f"{path}: the header must have a different name for each of {values.shape[1]} columns, got "
+            f"{shorten_text(', '.join(header))}; correct it"
+        )
 
     def take(names: Sequence[str]) -> Array:
         missing = [name for name in names if name not in columns]
@@ -232,22 +230,16 @@ def _parse_csv(path: Path, text: str) -> dict[str, Any]:
     return arrays
 
 
-def _parse_rows(path: Path, rows: Iterable[tuple[int, Sequence[str]]], n_columns: int) -> Array:
-    """Return the numbers in rows of cells, given with their line numbers in the file; empty cells are NaN."""
-    values = list[list[float]]()
-    for line, cells in rows:
-        if len(cells) != n_columns:
-            raise DataFormatError(f"{path}: line {line} must have {n_columns} cells, got {len(cells)}; export it again")
-        values.append([])
-        for column, cell in enumerate(cells, start=1):
-            try:
-                values[-1].append(float(cell.strip().replace(",", ".") or "nan"))
-            except ValueError:
-                raise DataFormatError(
-                    f"{path}: line {line}, column {column} must be a number, got {shorten_text(repr(cell))}; correct "
-                    "it or leave it empty"
-                ) from None
-    return np.array(values).reshape(-1, n_columns)
+def _parse_rows(path: Path, lines: Sequence[str], separator: str) -> Array:
+    """Return the numbers in lines of cells; empty cells are NaN."""
+
+    def parse(cell: str) -> float:
+        return float(cell.replace(",", ".").strip() or "nan")
+
+    try:
+        return np.loadtxt(lines, delimiter=separator, converters=parse, comments=None, ndmin=2)
+    except ValueError as error:
+        raise DataFormatError(f"{path}: below the header, {error}; correct the cell or leave it empty") from None
 
 
 def _make_table(arrays: Mapping[str, Any], config: MotionConfig) -> MotionTable:

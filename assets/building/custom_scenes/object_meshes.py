@@ -9,21 +9,13 @@ import numpy.typing as npt
 import trimesh
 from scipy.spatial import QhullError
 
-from handover_marl.assets.shipped import (
-    COLLISION_NAME,
-    FRICTION,
-    PALETTE,
-    URDF_NAME,
-    VISUAL_NAME,
-    format_object_urdf,
-    format_visual,
-    read_palette_files,
-)
+from handover_marl.assets.shipped import FRICTION, PALETTE, format_object_files
 from handover_marl.errors import DataFormatError, OptionError, check_name
+from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import require_modules
 from handover_marl.execution.reading import check_plain_file, report_damage
 from handover_marl.geometry.model_files.meshes import compute_convex_hull, decompose_convex
-from handover_marl.geometry.model_files.obj_files import format_convex_parts, read_obj
+from handover_marl.geometry.model_files.obj_files import read_obj
 
 Array = npt.NDArray[np.float64]
 
@@ -120,12 +112,9 @@ def make_object_mesh(source: "str | Path | trimesh.Trimesh", config: MeshConfig)
 
 def write_object(folder: Path, item: ObjectMesh, config: MeshConfig) -> None:
     """Write the URDF and the meshes of an object into an existing folder."""
-    visual = format_visual([(config.color, *_canonicalize(item.mesh))])
-    (folder / VISUAL_NAME).write_text(visual, newline="\n")
-    (folder / COLLISION_NAME).write_text(format_convex_parts(map(_canonicalize, item.parts)), newline="\n")
-    for name, content in read_palette_files().items():
-        (folder / name).write_bytes(content)
-    (folder / URDF_NAME).write_text(format_object_urdf(item.mass, config.friction), newline="\n")
+    colored, parts = [(config.color, *_canonicalize(item.mesh))], map(_canonicalize, item.parts)
+    for name, content in format_object_files(colored, parts, item.mass, config.friction).items():
+        write_atomically(folder / name, content)
 
 
 def _read_mesh(source: "str | Path | trimesh.Trimesh") -> trimesh.Trimesh:

@@ -15,15 +15,7 @@ import numpy.typing as npt
 
 from handover_marl.assets.hand_model import HANDS_FOLDER, SUBJECTS, Side, format_hand_urdf, scale_hand
 from handover_marl.assets.human_grasps import LEVELS
-from handover_marl.assets.shipped import (
-    CLASSES_WITHOUT_GRASPS,
-    COLLISION_NAME,
-    URDF_NAME,
-    VISUAL_NAME,
-    format_object_urdf,
-    format_visual,
-    read_palette_files,
-)
+from handover_marl.assets.shipped import CLASSES_WITHOUT_GRASPS, URDF_NAME, format_object_files
 from handover_marl.datasets.generated.config import (
     GENERATED,
     HARD,
@@ -57,7 +49,6 @@ from handover_marl.datasets.splits import SPLITS
 from handover_marl.errors import DataNotFoundError, HandoverError, ResultsError, check_name
 from handover_marl.execution.files import write_atomically
 from handover_marl.geometry.array_cache import get_cache_folder
-from handover_marl.geometry.model_files.obj_files import format_convex_parts
 from handover_marl.geometry.panda import PANDA
 from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES
 
@@ -268,12 +259,8 @@ def _write_object_model(name: str, item: ProceduralObject) -> Path:
 
     def make_files() -> dict[str, bytes | str]:
         surfaces = [(part.color, make_surface(part)) for part in item.parts]
-        return {
-            COLLISION_NAME: format_convex_parts((surface.vertices, surface.faces) for _, surface in surfaces),
-            VISUAL_NAME: format_visual((color, surface.vertices, surface.faces) for color, surface in surfaces),
-            **read_palette_files(),
-            URDF_NAME: format_object_urdf(),
-        }
+        colored = [(color, surface.vertices, surface.faces) for color, surface in surfaces]
+        return format_object_files(colored, [(vertices, faces) for _, vertices, faces in colored])
 
     return _write_folder(repr(item), name, URDF_NAME, make_files)
 

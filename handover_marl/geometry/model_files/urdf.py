@@ -1,10 +1,10 @@
 """Reader of URDF models: shapes, masses, friction and joint limits of links; writer from Jinja templates."""
 
 import functools
-import math
 import os
 import re
 import xml.etree.ElementTree as ET
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -95,10 +95,7 @@ def _read_link(element: ET.Element, limits: tuple[float, float] | None) -> UrdfL
     if contact is not None:
         friction = read_attribute(contact, "lateral_friction", "value", friction)
         spinning = read_attribute(contact, "spinning_friction", "value", spinning)
-    position = tuple(float(value) for value in center.split())
-    if len(position) != 3:
-        raise ValueError(f"expected 3 numbers, found {center!r}")
-    return UrdfLink(float(mass), position, float(friction), float(spinning), limits)
+    return UrdfLink(float(mass), _parse_numbers(center, 3), float(friction), float(spinning), limits)
 
 
 def _read_limits(joint: ET.Element) -> tuple[float, float] | None:
@@ -158,32 +155,22 @@ def read_urdf_shapes(urdf: Path, tree: KinematicTree, purpose: str) -> list[Urdf
 def _read_shapes(urdf: Path, changed: int, tree: KinematicTree, purpose: str) -> tuple[UrdfShape, ...]:
     try:
         robot = parse_urdf(urdf)
-    except (OSError, ValueError) as error:
-        raise SimulationError(f"{urdf}: cannot read this model ({error}); check the file") from error
-    numbers = {joint.link: number for number, joint in enumerate(tree.joints)}
-    try:
+        numbers = {joint.link: number for number, joint in enumerate(tree.joints)}
         # The last definition of a name counts, as in PyBullet, which reads those in links after those of the model.
         materials = [*robot.findall("material"), *robot.findall("link/visual/material")]
         named = ((material.get("name"), _read_color(material)) for material in materials)
         colors = {name: color for name, color in named if color is not None}
-    except (ValueError, KeyError) as error:
-        raise SimulationError(f"{urdf}: cannot read a material's colour ({error!r}); check the file") from error
-    shapes = []
-    for link in robot.findall("link"):
-        for element in link.findall(purpose):
-            try:
-                material = element.find("material")
-                color = _WHITE if material is None else colors.get(material.get("name"), _WHITE)
-                shapes.append(_read_shape(element, numbers.get(link.attrib["name"], -1), urdf.parent, color))
-            except (ValueError, KeyError, IndexError, TypeError) as error:
-                raise SimulationError(
-                    f"{urdf}: cannot read a {purpose} shape of link {link.get('name')!r} ({error!r}); check the file"
-                ) from error
-    return tuple(shapes)
+        return tuple(
+            _read_shape(element, numbers.get(link.attrib["name"], -1), urdf.parent, colors)
+            for link in robot.findall("link")
+            for element in link.findall(purpose)
+        )
+    except (OSError, ValueError, KeyError, IndexError, TypeError) as error:
+        raise SimulationError(f"{urdf}: cannot read its {purpose} shapes ({error!r}); check the file") from error
 
 
-def _read_shape(element: ET.Element, link: int, folder: Path, color: Color) -> UrdfShape:
-    geometry = element.find("geometry")
+def _read_shape(element: ET.Element, link: int, folder: Path, colors: Mapping[str | None, Color]) -> UrdfShape:
+    geometry, material = element.find("geometry"), element.find("material")
     if geometry is None:
         raise ValueError("no geometry")
     shape, mesh = geometry[0], None
@@ -199,13 +186,14 @@ def _read_shape(element: ET.Element, link: int, folder: Path, color: Color) -> U
     xyz, rpy = (read_attribute(element, "origin", name, "0 0 0") for name in ("xyz", "rpy"))
     _parse_numbers(rpy, 3)
     pose = np.concatenate([_parse_numbers(xyz, 3), quaternions_from_matrices(matrix_from_rpy(rpy))])
-    return UrdfShape(link, shape.tag, numbers, mesh, pose, color)
+    color = None if material is None else colors.get(material.get("name"))
+    return UrdfShape(link, shape.tag, numbers, mesh, pose, color or _WHITE)
 
 
 def _parse_numbers(text: str, count: int) -> tuple[float, ...]:
     values = tuple(map(float, text.split()))
-    if len(values) != count or not all(map(math.isfinite, values)):
-        raise ValueError(f"expected {count} finite numbers, found {text!r}")
+    if len(values) != count:
+        raise ValueError(f"expected {count} numbers, found {text!r}")
     return values
 
 

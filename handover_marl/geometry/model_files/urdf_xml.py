@@ -1,6 +1,7 @@
 """Reader of the XML of URDF files, with the ranges of all numbers that a physics engine reads from it."""
 
 import math
+import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -20,6 +21,7 @@ URDF_RANGES = {
     **{"lower": _ANY, "upper": _ANY, "rgba": (0.0, 1.0)},
     **{"mass value": (0.0, 1000.0), "restitution value": (0.0, 1.0)},
 }
+_NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
 # Smallest mass (kg) of a link that moves and touches others.
 _MIN_MASS = 1e-6
 
@@ -52,14 +54,9 @@ def parse_urdf(urdf: Path) -> ET.Element:
 
 def _check_numbers(name: str, text: str, low: float, high: float) -> None:
     for word in text.split() or [""]:
-        try:
-            value = float(word)
-        except ValueError:
-            value = math.nan
         # Engines read numbers with an underscore or of other scripts otherwise than Python.
-        is_plain = word.isascii() and "_" not in word
-        is_flat = value == 0.0 and name.startswith("scale")
-        if not (is_plain and low <= value <= high) or is_flat:
+        value = float(word) if _NUMBER.fullmatch(word) else math.nan
+        if not low <= value <= high or (value == 0.0 and name.startswith("scale")):
             raise ValueError(f"{name} must be a number from {low:g} to {high:g}, got {word[:40]!r}")
 
 
