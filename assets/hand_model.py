@@ -1,4 +1,4 @@
-"""Procedural model of the human hand: dimensions, kinematics and model files.
+"""Procedural model of the human hand: dimensions, kinematics and model files; human grasps of the 20 YCB objects.
 
 The hand has HandoverSim's structure: a base on three prismatic and three continuous joints (x, y, z), a palm that is
 fixed to the base at an offset, and 15 finger joints with three revolute axes (x, y, z) each. At zero angles all link
@@ -14,6 +14,7 @@ Sources of the dimensions:
     finger joints in the same survey.
 """
 
+import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -24,9 +25,10 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.assets.shipped import TEMPLATES_PACKAGE
+from handover_marl.assets.shipped import DATA_ROOT, TEMPLATES_PACKAGE, load_shipped_arrays
 from handover_marl.geometry.model_files.urdf import render_urdf
-from handover_marl.geometry.rotations import matrices_from_euler
+from handover_marl.geometry.rotations import euler_from_matrices, matrices_from_euler, rotate_points
+from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES
 
 Side = Literal["left", "right"]
 FloatArray = npt.NDArray[np.float64]
@@ -284,3 +286,79 @@ def format_numbers(values: Iterable[float]) -> str:
     # Adding zero turns -0.0 into 0.0.
     texts = (f"{round(float(value), 6) + 0.0:.6f}" for value in values)
     return " ".join(text.rstrip("0").rstrip(".") for text in texts)
+
+
+#: Path of the grasps, made by `building/grasps.py`.
+GRASPS_FILE: Final = DATA_ROOT / "human_grasps.npz"
+
+#: YCB class names in the order of the file.
+GRASPED_OBJECTS: Final = tuple(CLASS_NAMES[number] for number in SCENE_CLASSES)
+
+#: Unit (rad) of the angles in the file, which are 16-bit integers.
+ANGLE_STEP: Final = 1e-4
+
+_STATISTICS = json.loads((DATA_ROOT / "human_grasp_statistics.json").read_text())
+
+#: Levels of `WRIST_DISTANCE_QUANTILES`.
+LEVELS: Final[tuple[float, ...]] = tuple(_STATISTICS["levels"])
+
+#: Quantiles of the distance (m) from the wrist to the object's origin in DexYCB, by YCB class name.
+WRIST_DISTANCE_QUANTILES: Final[MappingProxyType[str, tuple[float, ...]]] = MappingProxyType(
+    {name: tuple(values["wrist_distance_m"]) for name, values in _STATISTICS["classes"].items()}
+)
+
+
+@dataclass(frozen=True, eq=False)
+class HumanGrasps:
+    """Grasps of one object by one subject's hand, in the object's frame; all n are sorted by wrist distance.
+
+    Attributes:
+        object_from_base: (n, 7) poses of the hand's base, xyz (m) and quaternion xyzw.
+        finger_angles: (n, 45) finger joint angles (rad) of the closed hand.
+        open_angles: (n, 45) finger joint angles (rad) before closing, clear of the object.
+        wrist_distance: (n,) distances (m) from the palm link's origin to the object's origin.
+        touching: (n, 5) masks of the digits in contact: index, middle, little, ring finger, thumb.
+        overlap: (n,) largest penetrations (m) of hand and object.
+        side: Side of the hand.
+    """
+
+    object_from_base: FloatArray
+    finger_angles: FloatArray
+    open_angles: FloatArray
+    wrist_distance: FloatArray
+    touching: npt.NDArray[np.bool_]
+    overlap: FloatArray
+    side: Side
+
+    def __len__(self) -> int:
+        return len(self.wrist_distance)
+
+    @property
+    def finger_direction(self) -> FloatArray:
+        """Unit vectors (n, 3) along straight fingers of each grasp, from palm to fingertips, in the object's frame."""
+        along = [1.0 if self.side == "left" else -1.0, 0.0, 0.0]
+        return np.asarray(rotate_points(self.object_from_base[:, 3:], np.tile(along, (len(self), 1))))
+
+    def compute_hand_dof(self) -> FloatArray:
+        """Return the hand's joint positions (n, 51) in the grasps, in the object's frame.
+
+        These are the base's position (m), its intrinsic XYZ Euler angles and the finger joint angles (rad).
+        """
+        poses = self.object_from_base
+        matrices = rotate_points(poses[:, None, 3:], np.eye(3)).swapaxes(-1, -2)
+        return np.concatenate([poses[:, :3], euler_from_matrices(matrices), self.finger_angles], axis=-1)
+
+
+def load_human_grasps(object_name: str, subject: int, side: Side) -> HumanGrasps:
+    """Load the grasps of a YCB class, e.g. "025_mug", by the "left" or "right" hand of a synthetic subject, 1 to 10."""
+    data = load_shipped_arrays(GRASPS_FILE)
+    at = GRASPED_OBJECTS.index(object_name), SIDES.index(side), subject - 1
+    return HumanGrasps(
+        object_from_base=data["object_from_base"][at].astype(np.float64),
+        finger_angles=data["finger_angles"][at] * ANGLE_STEP,
+        open_angles=data["open_angles"][at] * ANGLE_STEP,
+        wrist_distance=data["wrist_distance"][at].astype(np.float64),
+        touching=data["touching"][at].copy(),
+        overlap=data["overlap"][at].astype(np.float64),
+        side=side,
+    )

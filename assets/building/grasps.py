@@ -18,14 +18,17 @@ import numpy.typing as npt
 from rich.progress import track
 from scipy.spatial.transform import Rotation
 
-from handover_marl.assets.hand_model import SIDES, SUBJECT_SIZES, HandSize, Side
-from handover_marl.assets.human_grasps import (
+from handover_marl.assets.hand_model import (
     ANGLE_STEP,
     GRASPED_OBJECTS,
     GRASPS_FILE,
     LEVELS,
+    SIDES,
+    SUBJECT_SIZES,
     WRIST_DISTANCE_QUANTILES,
+    HandSize,
     HumanGrasps,
+    Side,
 )
 from handover_marl.assets.shipped import (
     CLASSES_WITHOUT_GRASPS,

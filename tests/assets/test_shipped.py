@@ -8,13 +8,18 @@ import numpy as np
 import pytest
 
 from handover_marl.assets.building.grasps import make_human_grasps
-from handover_marl.assets.hand_model import SIDES, SUBJECT_SIZES, SUBJECTS, Side, find_hand_urdf, make_hand_geometry
-from handover_marl.assets.human_grasps import (
+from handover_marl.assets.hand_model import (
     GRASPED_OBJECTS,
     GRASPS_FILE,
     LEVELS,
+    SIDES,
+    SUBJECT_SIZES,
+    SUBJECTS,
     WRIST_DISTANCE_QUANTILES,
+    Side,
+    find_hand_urdf,
     load_human_grasps,
+    make_hand_geometry,
 )
 from handover_marl.assets.shipped import (
     CAMERA_PANDA_URDF,

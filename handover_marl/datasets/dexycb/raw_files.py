@@ -97,28 +97,14 @@ def find_sequences(raw: Path) -> tuple[list[SequenceFolder], list[str]]:
     return sequences, missing
 
 
-@dataclass(frozen=True, eq=False)
-class RawSequence:
-    """Recording with its calibration.
-
-    Attributes:
-        meta: Content of meta.yml, see `read_meta`.
-        world_from_tag: (3, 4) [R | t] pose of the AprilTag in the world frame (m).
-        betas: MANO's ten shape parameters of the person's hand.
-        objects: (F, n, 7) float32 quaternion xyzw and position (m) of the objects, in the order of `ycb_ids`.
-        hand: (F, 51) float32 rotation vector (rad), 45 coefficients of the finger pose, translation
-            (m); zero in frames without a hand.
-    """
-
-    meta: dict[str, Any]
-    world_from_tag: Float64
-    betas: tuple[float, ...]
-    objects: Float32
-    hand: Float32
-
-
-def read_sequence(sequence: SequenceFolder) -> RawSequence:
+def read_sequence(sequence: SequenceFolder) -> tuple[dict[str, Any], Float64, tuple[float, ...], Float32, Float32]:
     """Read a recording and its calibration.
+
+    Returns:
+        Content of meta.yml (`read_meta`); pose (3, 4) [R | t] of the AprilTag in the world frame (m); MANO's ten shape
+        parameters of the person's hand; float32 quaternions xyzw and positions (F, n, 7) in m of the objects, in the
+        order of `ycb_ids`; and (F, 51) float32 of the hand: rotation vector (rad), 45 coefficients of the finger pose,
+        translation (m), zero in frames without a hand.
 
     Raises:
         DataNotFoundError: A file is missing.
@@ -127,13 +113,8 @@ def read_sequence(sequence: SequenceFolder) -> RawSequence:
     meta = read_meta(sequence)
     objects, hand = _read_poses(sequence.folder / "pose.npz", len(meta["ycb_ids"]))
     extrinsics = sequence.calibration / f"extrinsics_{meta['extrinsics']}" / "extrinsics.yml"
-    return RawSequence(
-        meta=meta,
-        world_from_tag=_read_numbers(extrinsics, 12, "extrinsics", "apriltag").reshape(3, 4),
-        betas=read_betas(sequence, meta),
-        objects=objects,
-        hand=hand,
-    )
+    world_from_tag = _read_numbers(extrinsics, 12, "extrinsics", "apriltag").reshape(3, 4)
+    return meta, world_from_tag, read_betas(sequence, meta), objects, hand
 
 
 def read_betas(sequence: SequenceFolder, meta: dict[str, Any]) -> tuple[float, ...]:

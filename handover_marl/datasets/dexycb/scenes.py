@@ -135,15 +135,15 @@ def import_scene(
             scene differs.
         ResultsError: A file cannot be written.
     """
-    raw = read_sequence(sequence)
-    (side,) = raw.meta["mano_sides"]
-    model, tag = models[side], TagFrame.from_extrinsics(raw.world_from_tag)
-    base = model.locate_wrist(first_betas.get((sequence.subject, side), raw.betas))
-    objects = [compute_object_trajectory(raw.objects[:, number], tag) for number in range(raw.objects.shape[1])]
-    hand = compute_hand_trajectory(raw.hand, tag, model, model.locate_wrist(raw.betas), base)
-    arrays = {"pose_y": np.stack(objects, axis=1), "pose_m": np.ascontiguousarray(hand[:, None])}
-    meta = {key: raw.meta[key] for key in ("ycb_ids", "ycb_grasp_ind", "mano_sides")}
-    text = json.dumps({"name": sequence.name, **meta, "mano_betas": [list(raw.betas)]}).encode()
+    meta, world_from_tag, betas, objects, hand = read_sequence(sequence)
+    (side,) = meta["mano_sides"]
+    model, tag = models[side], TagFrame.from_extrinsics(world_from_tag)
+    base = model.locate_wrist(first_betas.get((sequence.subject, side), betas))
+    trajectories = [compute_object_trajectory(objects[:, number], tag) for number in range(objects.shape[1])]
+    hand_trajectory = compute_hand_trajectory(hand, tag, model, model.locate_wrist(betas), base)
+    arrays = {"pose_y": np.stack(trajectories, axis=1), "pose_m": np.ascontiguousarray(hand_trajectory[:, None])}
+    kept = {key: meta[key] for key in ("ycb_ids", "ycb_grasp_ind", "mano_sides")}
+    text = json.dumps({"name": sequence.name, **kept, "mano_betas": [list(betas)]}).encode()
     cache = out / CACHE_FOLDER
     try:
         cache.mkdir(parents=True, exist_ok=True)

@@ -13,8 +13,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.assets.hand_model import HANDS_FOLDER, SUBJECTS, Side, format_hand_urdf, scale_hand
-from handover_marl.assets.human_grasps import LEVELS
+from handover_marl.assets.hand_model import HANDS_FOLDER, LEVELS, SUBJECTS, Side, format_hand_urdf, scale_hand
 from handover_marl.assets.shipped import CLASSES_WITHOUT_GRASPS, URDF_NAME, format_object_files
 from handover_marl.datasets.generated.config import (
     GENERATED,
@@ -28,7 +27,7 @@ from handover_marl.datasets.generated.config import (
 )
 from handover_marl.datasets.generated.grasps import draw_human_grasps, draw_robot_grasps
 from handover_marl.datasets.generated.hands import Person, draw_person
-from handover_marl.datasets.generated.motion import KeyframeMotion
+from handover_marl.datasets.generated.motion import KeyframeMotion, add_post_arrival_motion, draw_far_positions
 from handover_marl.datasets.generated.objects import ProceduralObject, draw_object
 from handover_marl.datasets.generated.placement import (
     ClutterItem,
@@ -36,7 +35,6 @@ from handover_marl.datasets.generated.placement import (
     hand_poses_from_grasps,
     make_ycb_clutter_item,
 )
-from handover_marl.datasets.generated.post_arrival_motion import add_post_arrival_motion, draw_far_positions
 from handover_marl.datasets.generated.random_stream import RandomStream, Seed, open_stream
 from handover_marl.datasets.generated.scenes import (
     GeneratedHandover,

@@ -14,8 +14,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 from scipy.special import ndtri
 
-from handover_marl.assets.hand_model import HandSize, Side
-from handover_marl.assets.human_grasps import HumanGrasps
+from handover_marl.assets.hand_model import HandSize, HumanGrasps, Side
 from handover_marl.datasets.generated.hands import (
     LIMITS,
     N_STEPS,

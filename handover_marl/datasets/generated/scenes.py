@@ -8,8 +8,13 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.assets.hand_model import Side, find_hand_urdf, make_hand_geometry
-from handover_marl.assets.human_grasps import WRIST_DISTANCE_QUANTILES, load_human_grasps
+from handover_marl.assets.hand_model import (
+    WRIST_DISTANCE_QUANTILES,
+    Side,
+    find_hand_urdf,
+    load_human_grasps,
+    make_hand_geometry,
+)
 from handover_marl.assets.shipped import load_object_grasps
 from handover_marl.datasets.dataset import Dataset, Scene, SceneInfo
 from handover_marl.datasets.generated.motion import (

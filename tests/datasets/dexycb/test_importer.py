@@ -195,11 +195,11 @@ def test_other_recordings_are_numbered_if_all_are_there(tmp_path: Path) -> None:
 
 def test_recording_and_missing_files(tmp_path: Path) -> None:
     scene = RawScene(side="right")
-    found = read_sequence(sequence := scene.write(tmp_path))
-    assert [found.meta[key] for key in ("ycb_ids", "ycb_grasp_ind", "mano_sides")] == [[2, 5], 1, ["right"]]
-    np.testing.assert_array_equal(found.world_from_tag, tag_pose())
-    assert found.betas == tuple(scene.betas)
-    for array, expected in ((found.objects, scene.objects), (found.hand, scene.hand)):
+    meta, world_from_tag, betas, objects, hand = read_sequence(sequence := scene.write(tmp_path))
+    assert [meta[key] for key in ("ycb_ids", "ycb_grasp_ind", "mano_sides")] == [[2, 5], 1, ["right"]]
+    np.testing.assert_array_equal(world_from_tag, tag_pose())
+    assert betas == tuple(scene.betas)
+    for array, expected in ((objects, scene.objects), (hand, scene.hand)):
         assert array.dtype == np.float32
         np.testing.assert_array_equal(array, expected)
     for path in (mano_file(tmp_path), extrinsics_file(tmp_path), sequence.folder / "meta.yml"):

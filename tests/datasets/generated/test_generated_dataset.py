@@ -18,9 +18,8 @@ from handover_marl.datasets.generated.config import (
 from handover_marl.datasets.generated.dataset import FIRST_CLASS, GRASPABLE_CLASSES, GeneratedDataset, write_hand_model
 from handover_marl.datasets.generated.grasps import draw_human_grasps, draw_robot_grasps
 from handover_marl.datasets.generated.hands import draw_person
-from handover_marl.datasets.generated.motion import resample_fingers, resample_poses
+from handover_marl.datasets.generated.motion import MAX_SPEED, resample_fingers, resample_poses
 from handover_marl.datasets.generated.objects import ProceduralObject, draw_object
-from handover_marl.datasets.generated.post_arrival_motion import MAX_SPEED
 from handover_marl.datasets.generated.random_stream import RandomStream
 from handover_marl.datasets.generated.shapes import Solid, make_surface
 from handover_marl.errors import HandoverError, SceneError, UnknownNameError
