@@ -177,37 +177,35 @@ def _run_server() -> Iterator[Any]:
 _Show: TypeAlias = Callable[[int, ReplayFrame], None]
 
 
-class _Element:
-    """Element of viser's scene, of which only changes are recorded, since they determine the size of the page.
+def _make_setter(handle: Any) -> Callable[..., None]:
+    """Return a function that sets properties of a viser element by name, but not to the values that they have.
 
-    Args:
-        handle: Viser's handle of the element.
+    Only changes are recorded then, since they determine the size of the page.
     """
+    shown = dict[str, Any]()
 
-    def __init__(self, handle: Any) -> None:
-        self._handle, self._shown = handle, dict[str, Any]()
-
-    def set(self, **values: Any) -> None:
-        """Set the given properties of the element, except for those that have these values already."""
+    def set_properties(**values: Any) -> None:
         for name, value in values.items():
-            if name not in self._shown or not np.array_equal(self._shown[name], value):
-                setattr(self._handle, name, value)
-                self._shown[name] = value
+            if name not in shown or not np.array_equal(shown[name], value):
+                setattr(handle, name, value)
+                shown[name] = value
+
+    return set_properties
 
 
 def _add_link(scene: "SceneApi", link: LinkTrajectory) -> _Show:
     color = _ROBOT_COLOR if link.label is SegmentationLabel.ROBOT else ImageColor.getrgb(LABEL_COLORS[link.label])[:3]
     is_flat = len(link.mesh.faces) < _FLAT_SHADING_FACES
     mesh = (f"/{link.name}", link.mesh.vertices, link.mesh.faces)
-    element = _Element(scene.add_mesh_simple(*mesh, color=color, flat_shading=is_flat, side="double"))
+    set_properties = _make_setter(scene.add_mesh_simple(*mesh, color=color, flat_shading=is_flat, side="double"))
     positions = _quantize(link.poses[:, :3], _POSITION_STEP)
     rotations = _quantize(np.roll(link.poses[:, 3:], 1, axis=1), _ROTATION_STEP)
 
     def show(index: int, frame: ReplayFrame) -> None:
         row = min(index, len(positions) - 1)
         is_touched = frame.touches_hand and link.label is SegmentationLabel.HAND
-        element.set(position=positions[row], wxyz=rotations[row], visible=bool(link.is_present[row]))
-        element.set(color=_HAND_CONTACT_COLOR if is_touched else color)
+        set_properties(position=positions[row], wxyz=rotations[row], visible=bool(link.is_present[row]))
+        set_properties(color=_HAND_CONTACT_COLOR if is_touched else color)
 
     return show
 
@@ -228,7 +226,7 @@ def _add_planned_path(scene: "SceneApi") -> _Show:
     """Add the hand link's planned path with the gripper at its end; return the function that shows it at a frame."""
     empty = np.zeros((1, 2, 3), dtype=np.float32)
     style: Any = {"thickness": 3.0, "thickness_units": "screen", "visible": False}
-    element = _Element(scene.add_line_segments("/planned_path", empty, _PLAN_COLOR, **style))
+    set_properties = _make_setter(scene.add_line_segments("/planned_path", empty, _PLAN_COLOR, **style))
 
     def show(index: int, frame: ReplayFrame) -> None:
         path = frame.planned_path
@@ -236,8 +234,8 @@ def _add_planned_path(scene: "SceneApi") -> _Show:
             outline = transform_points(path[-1], np.array(GRIPPER_OUTLINE))
             # Line segments (n - 1, 2, 3) between successive points (n, 3).
             lines = np.concatenate([np.stack([line[:-1], line[1:]], axis=1) for line in (path[:, :3], outline)])
-            element.set(points=_quantize(lines, _POSITION_STEP).astype(np.float32))
-        element.set(visible=path is not None)
+            set_properties(points=_quantize(lines, _POSITION_STEP).astype(np.float32))
+        set_properties(visible=path is not None)
 
     return show
 
@@ -265,12 +263,12 @@ def _add_observed_points(scene: "SceneApi", log: ReplayRecorder) -> _Show:
 def _add_points(scene: "SceneApi", name: str, color: Color, size: float) -> Callable[[Array], None]:
     """Add a point cloud; return a function that replaces its points (n, 3) (m), and hides it if there are none."""
     style: Any = {"point_size": size, "point_shape": "circle", "point_shading": "flat", "visible": False}
-    element = _Element(scene.add_point_cloud(name, np.zeros((1, 3), dtype=np.float16), color, **style))
+    set_properties = _make_setter(scene.add_point_cloud(name, np.zeros((1, 3), dtype=np.float16), color, **style))
 
     def show(points: Array) -> None:
         if len(points):
-            element.set(points=points.astype(np.float16))
-        element.set(visible=bool(len(points)))
+            set_properties(points=points.astype(np.float16))
+        set_properties(visible=bool(len(points)))
 
     return show
 
@@ -278,8 +276,10 @@ def _add_points(scene: "SceneApi", name: str, color: Color, size: float) -> Call
 def _add_status(scene: "SceneApi", log: ReplayRecorder) -> _Show:
     """Add text on time and state of the episode above the goal region; return the function that shows a frame's."""
     x, y, z = log.config.protocol.goal_center
-    element = _Element(scene.add_label("/status", "", position=(x, y, z + _LABEL_HEIGHT), anchor="bottom-center"))
-    return lambda index, frame: element.set(text=describe_frame(log, frame))
+    set_properties = _make_setter(
+        scene.add_label("/status", "", position=(x, y, z + _LABEL_HEIGHT), anchor="bottom-center")
+    )
+    return lambda index, frame: set_properties(text=describe_frame(log, frame))
 
 
 def _quantize(values: Array, step: float) -> Array:

@@ -10,7 +10,6 @@ The motion of scene N is in `motion/00000N.npz`, in the world frame at 1 kHz:
 """
 
 import hashlib
-from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 
@@ -20,7 +19,7 @@ import numpy.typing as npt
 from handover_marl.assets.hand_model import find_hand_urdf
 from handover_marl.assets.shipped import URDF_NAME
 from handover_marl.config import HAND_DOF, OBJECT_DOF
-from handover_marl.datasets.custom.scene_file import ALL_SCENES, SceneFile, read_scene_file
+from handover_marl.datasets.custom.scene_file import ALL_SCENES, read_scene_file
 from handover_marl.datasets.dataset import Dataset, Scene, SceneAssets, SceneInfo
 from handover_marl.datasets.official import check_grasps, read_motion
 from handover_marl.datasets.official_files import require_file
@@ -76,6 +75,7 @@ class CustomDataset(Dataset):
 
     Attributes:
         content: Content of `scenes.json`.
+        setups: Names of the setups: "all", in which each split has every scene, then the setups in `scenes.json`.
 
     Raises:
         UnknownNameError: `robot` is not in `ROBOTS`.
@@ -86,31 +86,12 @@ class CustomDataset(Dataset):
     def __init__(self, folder: Path, robot: str = PANDA) -> None:
         super().__init__(robot)
         self.folder = folder
-        self.content: SceneFile = read_scene_file(folder)
-        self.name = f"{PREFIX}:{self.content.name}"
-        self._numbers = {name: number for number, name in self.content.object_names.items()}
+        self.source_folder, self.content = folder, read_scene_file(folder)
+        self.name, self.object_names = f"{PREFIX}:{self.content.name}", self.content.object_names
+        self.n_scenes, self.setups = len(self.content.scenes), (ALL_SCENES, *self.content.setups)
+        self._numbers = {name: number for number, name in self.object_names.items()}
         self._hash_model = lru_cache(maxsize=None)(_hash_model)
         self._read_grasps = lru_cache(maxsize=None)(self._load_grasps)
-
-    @property
-    def source_folder(self) -> Path:
-        """Folder of the scenes; `open_dataset(name, source_folder)` opens the data set again."""
-        return self.folder
-
-    @property
-    def n_scenes(self) -> int:
-        """Number of scenes."""
-        return len(self.content.scenes)
-
-    @property
-    def setups(self) -> tuple[str, ...]:
-        """Names of the setups: "all", in which each split has every scene, then the setups in `scenes.json`."""
-        return (ALL_SCENES, *self.content.setups)
-
-    @property
-    def object_names(self) -> Mapping[int, str]:
-        """Class names by class number: the YCB classes and the user's classes."""
-        return self.content.object_names
 
     def list_scenes(self, setup: str | None, split: str) -> tuple[int, ...]:
         """Return the scene numbers of a split of a setup, ascending; raise `UnknownNameError` if there are none."""

@@ -19,7 +19,7 @@ from handover_marl.datasets.dexycb.stand_ins import ARCHIVE_NAME, install_third_
 from handover_marl.datasets.official import CACHE_FOLDER
 from handover_marl.datasets.official_files import is_stand_in_file, list_required_files
 from handover_marl.datasets.splits import N_SCENES, choose_scenes
-from handover_marl.errors import DataNotFoundError, HandoverError, ResultsError
+from handover_marl.errors import HandoverError, ResultsError
 from handover_marl.execution.files import remove_stale_temporaries
 from handover_marl.execution.options import PoolConfig, check_path, resolve_worker_count
 from handover_marl.execution.pool import map_with_progress
@@ -106,7 +106,8 @@ def import_dexycb(
     raw, target = check_path("dexycb", dexycb), check_path("out", out)
     archive = None if third_party is None else check_path("third_party", third_party)
     sequences, missing = find_sequences(raw)
-    folder = _find_mano_folder(check_path("mano", mano))
+    folder = check_path("mano", mano)
+    folder = folder / "models" if (folder / "models").is_dir() else folder
     models = read_mano_models(folder)
     wanted = choose_scenes(tuple(range(N_SCENES)), scenes, "DexYCB")
     chosen = [sequence for sequence in sequences if sequence.scene_id in wanted]
@@ -149,16 +150,6 @@ def _import_sequence(models: dict[str, ManoModel], betas: BetasBySubject, out: P
     except HandoverError as error:
         return f"scene {sequence.scene_id:03d} ({sequence.name}): {error}"
     return ""
-
-
-def _find_mano_folder(mano: Path) -> Path:
-    for folder in (mano, mano / "models"):
-        if (folder / "MANO_RIGHT.pkl").is_file():
-            return folder
-    raise DataNotFoundError(
-        f"{mano} holds no MANO_RIGHT.pkl, nor does its models/. Register at MANO's site, download mano_v1_2.zip and "
-        "give the folder that it was expanded into."
-    )
 
 
 def _write_models(betas: BetasBySubject, models: dict[str, ManoModel], assets: Path) -> list[str]:

@@ -93,7 +93,7 @@ def read_mano_model(path: Path, side: str) -> ManoModel:
         UnsafeFileError: The file may run code.
         DataFormatError: The file is not a model, or an array has an invalid shape or type.
     """
-    with report_damage(path, "MANO model", "copy it again from mano_v1_2.zip, where it is in models/"):
+    with report_damage(path, "MANO model", "copy it from mano_v1_2.zip, which MANO's site has for registered users"):
         content = load_restricted(read_plain_file(path), _ALLOWED)
         return ManoModel(side, *(_extract_array(key, content[key]) for key in _SHAPES))
 

@@ -84,33 +84,17 @@ class GeneratedDataset(HandoverGenerator):
     """
 
     scene_format = "08d"
+    # Scenes and procedural objects are split by a hash of their number.
+    setups = ("random",)
+    quick_validation = True
 
     def __init__(self, config: GeneratedConfig | str, robot: str = PANDA) -> None:
         super().__init__(robot)
         self.config = parse_generated_config(config) if isinstance(config, str) else config
         self.name = f"{GENERATED}:{self.config.argument}"
         self._numbers = {f"object_{number:05d}": number for number in range(self.config.objects)}
-        self._names = {**CLASS_NAMES, **{FIRST_CLASS + number: name for name, number in self._numbers.items()}}
-
-    @property
-    def n_scenes(self) -> int:
-        """Number of scenes; they are numbered from 0."""
-        return self.config.n
-
-    @property
-    def setups(self) -> tuple[str, ...]:
-        """Name of the only setup: scenes and procedural objects are split by a hash of their number."""
-        return ("random",)
-
-    @property
-    def object_names(self) -> Mapping[int, str]:
-        """Class names by class number: the YCB classes, then procedural objects such as "object_00042"."""
-        return self._names
-
-    @property
-    def quick_validation(self) -> bool:
-        """Whether grasps are validated with few simulations, because there are very many object classes."""
-        return True
+        self.n_scenes = self.config.n
+        self.object_names = {**CLASS_NAMES, **{FIRST_CLASS + number: name for name, number in self._numbers.items()}}
 
     def list_scenes(self, setup: str | None, split: str) -> tuple[int, ...]:
         """Return the scene numbers of a split ("train", "val" or "test") of the only setup in ascending order."""

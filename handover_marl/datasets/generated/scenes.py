@@ -2,7 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Callable
-from functools import cache, lru_cache
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -114,6 +114,7 @@ class HandoverGenerator(Dataset):
 def make_subject_giver(class_id: int, subject: int, side: Side) -> SimulatedGiver:
     """Return one of the ten synthetic subjects, numbered from 1, with a hand and an object of a YCB class number."""
     name = CLASS_NAMES[class_id]
+    transforms = load_object_grasps(name)
     return SimulatedGiver(
         class_id=class_id,
         subject=f"synthetic-subject-{subject:02d}",
@@ -123,11 +124,5 @@ def make_subject_giver(class_id: int, subject: int, side: Side) -> SimulatedGive
         up_axes=UP_AXES[class_id],
         wrist_distances=WRIST_DISTANCE_QUANTILES[name],
         grasps=load_human_grasps(name, subject, side),
-        robot_grasps=_load_robot_grasps(name),
+        robot_grasps=None if transforms is None else hand_poses_from_grasps(transforms),
     )
-
-
-@cache
-def _load_robot_grasps(name: str) -> npt.NDArray[np.float64] | None:
-    transforms = load_object_grasps(name)
-    return None if transforms is None else hand_poses_from_grasps(transforms)

@@ -142,7 +142,7 @@ def test_invalid_arguments(given: Path, tmp_path: Path) -> None:
     (hostile / "MANO_LEFT.pkl").write_bytes(b"cos\nsystem\n(S'touch /tmp/no'\ntR.")
     cases: list[tuple[Any, dict[str, Any], type[Exception], str]] = [
         ((tmp_path, mano), {}, DataNotFoundError, "no raw DexYCB folder"),
-        ((raw, tmp_path), {}, DataNotFoundError, r"holds no MANO_RIGHT\.pkl"),
+        ((raw, tmp_path), {}, DataNotFoundError, r"MANO_RIGHT\.pkl does not exist; copy it from mano_v1_2\.zip"),
         ((raw, mano), {"scenes": [1000]}, SceneError, "scene 1000 is not in DexYCB"),
         ((raw, mano), {"workers": 0}, OptionError, r"workers must be .* got 0"),
         (("", mano), {}, OptionError, "dexycb must be a path"),
