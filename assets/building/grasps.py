@@ -169,13 +169,12 @@ def make_robot_grasps(
     make, held, n_simulated = functools.partial(_make_validation, urdf), list[Array](), 0
     while n_simulated < len(candidates) and len(held) < count:
         batch = candidates[n_simulated : n_simulated + max(_CHUNK, count - len(held))]
-        tasks = [range(start, min(start + _CHUNK, len(batch))) for start in range(0, len(batch), _CHUNK)]
-        chunks = [(number, batch[task]) for number, task in enumerate(tasks)]
-        results = dict[int, list[bool]]()
-        for (number, _), outcome in map_with_progress(make, chunks, "robot grasps", PoolConfig(workers), progress):
-            results[number] = outcome
-        good = np.concatenate([results[number] for number in range(len(chunks))])
-        held += list(batch[good])
+        chunks = [(start, batch[start : start + _CHUNK]) for start in range(0, len(batch), _CHUNK)]
+        results = {
+            start: outcome
+            for (start, _), outcome in map_with_progress(make, chunks, "robot grasps", PoolConfig(workers), progress)
+        }
+        held += list(batch[np.concatenate([results[start] for start, _ in chunks])])
         n_simulated += len(batch)
     return np.array(held[:count]).reshape(-1, 4, 4), n_simulated
 

@@ -95,11 +95,6 @@ class MotionConfig:
         if not isinstance(self.max_gap, (int, float)) or not 0.0 <= self.max_gap <= 2.0:
             raise OptionError(f"max_gap must be a time from 0 to 2 s, got {self.max_gap!r}")
 
-    @property
-    def world_from_frame(self) -> Array:
-        """Pose (7,) of the recording's frame in the world: position (m) and quaternion xyzw."""
-        return np.array(_FRAMES[self.frame] if isinstance(self.frame, str) else self.frame, dtype=np.float64)
-
 
 @dataclass(frozen=True, eq=False)
 class MotionTable:
@@ -325,7 +320,8 @@ def _read_poses(key: str, poses: Array, time: Array, first: int, config: MotionC
     poses[:, 3:] /= norms[:, None]
     offset = {OBJECT: config.object_offset, WRIST: config.wrist_offset}.get(key)
     poses = poses if offset is None else np.asarray(compose(poses, np.array(offset)))
-    return np.asarray(compose(config.world_from_frame, poses))
+    frame = _FRAMES[config.frame] if isinstance(config.frame, str) else config.frame
+    return np.asarray(compose(np.array(frame, dtype=np.float64), poses))
 
 
 def _fill_gaps(key: str, poses: Array, time: Array, first: int, config: MotionConfig, repairs: list[str]) -> Array:

@@ -48,11 +48,6 @@ def open_custom_dataset(argument: str, data_dir: str | None, robot: str) -> "Cus
         DataFormatError: A file is damaged.
     """
     folder = check_path("dataset" if data_dir is None else "data_dir", data_dir or argument)
-    if not folder.is_dir():
-        raise DataNotFoundError(
-            f"folder of custom scenes {folder} does not exist; give its path as dataset='{PREFIX}:PATH', or the "
-            f"name of the data set and data_dir=PATH"
-        )
     dataset = CustomDataset(folder.resolve(), robot)
     if data_dir is not None and argument != dataset.content.name:
         raise OptionError(

@@ -188,8 +188,8 @@ def read_scene_file(folder: Path) -> SceneFile:
     path = folder / SCENE_FILE
     if not path.exists():
         raise DataNotFoundError(
-            f"{folder} is no folder of custom scenes: it has no {SCENE_FILE}; create one with "
-            "`handover-marl scenes add-object`"
+            f"{folder} is no folder of custom scenes: it has no {SCENE_FILE}; create one with `handover-marl scenes "
+            "add-object`, or pass the folder of the data set as data_dir"
         )
     with report_damage(path, "file", "restore it from a copy"):
         content = json.loads(read_plain_file(path, _MAX_BYTES))

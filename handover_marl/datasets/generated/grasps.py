@@ -66,17 +66,9 @@ def draw_human_grasps(
 ) -> HumanGrasps | None:
     """Draw grasps of an object by one human hand, sorted by wrist distance; None if none is found.
 
-    Args:
-        random: Stream of random numbers.
-        solid: Object to grasp.
-        up_axes: Weights of the object's axes that point up on a table: +x, -x, +y, -y, +z, -z. In every grasp the hand
-            is clear of the table for one of the axes with a weight.
-        size: Size of the hand.
-        side: Side of the hand, "right" or "left".
-        n_pairs: Number of surface points from which grasps are tried in one round.
-        n_closed: Largest number of hands whose fingers are closed in one round.
-        n_grasps: Number of grasps at which the search ends.
-        n_rounds: Largest number of rounds.
+    In every grasp the hand is clear of the table for one of the object's axes +x, -x, +y, -y, +z, -z with a weight in
+    `up_axes`. In each of up to `n_rounds` rounds, grasps are tried from `n_pairs` surface points, and the fingers of up
+    to `n_closed` hands are closed, until `n_grasps` are found.
     """
     templates = make_hand_templates(size)
     target = solid.mirror() if side == "left" else solid

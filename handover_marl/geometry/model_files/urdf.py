@@ -20,8 +20,6 @@ from handover_marl.geometry.rotations import quaternions_from_matrices
 
 Color = tuple[float, ...]
 
-# Bullet's values for links without a <contact> element.
-_FRICTION, _SPINNING_FRICTION = "0.5", "0"
 _WHITE = (1.0, 1.0, 1.0, 1.0)
 _PACKAGE = "package://"
 _MESH_NAME = re.compile(rb"""filename\s*=\s*["']([^"']+)["']""")
@@ -34,14 +32,14 @@ class UrdfLink:
     Attributes:
         mass: Mass in kg.
         center: Centre of mass (x, y, z) in the link's frame (m).
-        friction: Lateral friction; Bullet multiplies the values of two touching links.
+        friction: Lateral friction; Bullet multiplies the values of two touching links. Default: Bullet's.
         spinning_friction: Torsional friction: torque about the contact normal per newton of normal force (m).
         limits: Lower and upper limit of the joint that carries the link (rad, m), or None.
     """
 
     mass: float = 0.0
     center: tuple[float, ...] = (0.0, 0.0, 0.0)
-    friction: float = float(_FRICTION)
+    friction: float = 0.5
     spinning_friction: float = 0.0
     limits: tuple[float, float] | None = None
 
@@ -87,15 +85,14 @@ def read_urdf_links(urdf: Path, tree: KinematicTree) -> list[UrdfLink]:
 
 
 def _read_link(element: ET.Element, limits: tuple[float, float] | None) -> UrdfLink:
-    inertial, contact = element.find("inertial"), element.find("contact")
-    mass, center = "0", "0 0 0"
-    if inertial is not None:
-        mass, center = read_attribute(inertial, "mass", "value", "0"), read_attribute(inertial, "origin", "xyz", center)
-    friction, spinning = _FRICTION, _SPINNING_FRICTION
-    if contact is not None:
-        friction = read_attribute(contact, "lateral_friction", "value", friction)
-        spinning = read_attribute(contact, "spinning_friction", "value", spinning)
-    return UrdfLink(float(mass), _parse_numbers(center, 3), float(friction), float(spinning), limits)
+    center = read_attribute(element, "inertial/origin", "xyz", "0 0 0")
+    return UrdfLink(
+        mass=float(read_attribute(element, "inertial/mass", "value", "0")),
+        center=_parse_numbers(center, 3),
+        friction=float(read_attribute(element, "contact/lateral_friction", "value", "0.5")),
+        spinning_friction=float(read_attribute(element, "contact/spinning_friction", "value", "0")),
+        limits=limits,
+    )
 
 
 def _read_limits(joint: ET.Element) -> tuple[float, float] | None:
