@@ -4,7 +4,7 @@ import contextlib
 import os
 import shutil
 import tempfile
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import cast
@@ -46,7 +46,7 @@ from handover_marl.datasets.custom.scene_file import (
 from handover_marl.datasets.generated.shapes import read_solid
 from handover_marl.datasets.splits import SPLITS
 from handover_marl.errors import DataFormatError, OptionError, ResultsError, check_name
-from handover_marl.execution.files import exclusive_lock, shorten_text, write_arrays
+from handover_marl.execution.files import exclusive_lock, write_arrays
 from handover_marl.execution.options import check_path
 from handover_marl.geometry.model_files.meshes import check_model, read_collision_mesh
 from handover_marl.geometry.ycb import CLASS_NAMES, LARGEST_YCB_CLASS
@@ -80,7 +80,7 @@ class CustomSceneFolder:
                 raise OptionError(f"name must be {known!r}, the name of the scenes in {self.folder}, got {name!r}")
             self._name = known
             return
-        self._name = _check_name("name", self.folder.name if name is None else name)
+        self._name = check_file_name("name", self.folder.name if name is None else name)
         if self.folder.exists() and (not self.folder.is_dir() or any(self.folder.iterdir())):
             raise ResultsError(f"{self.folder} is not empty and has no {SCENE_FILE}; choose another folder")
 
@@ -125,7 +125,7 @@ class CustomSceneFolder:
             OptionError: The name belongs to a YCB class or to an object of the folder, or is no file name.
             DataNotFoundError, DataFormatError: The mesh file is missing, damaged or no solid body.
         """
-        text = _check_name("name", name, CLASS_NAMES.values())
+        text = check_file_name("name", name, CLASS_NAMES.values())
         config = config or MeshConfig()
         source = mesh if isinstance(mesh, trimesh.Trimesh) else check_path("mesh", mesh)
         if text in [item.name for item in self.content.objects]:
@@ -197,7 +197,7 @@ class CustomSceneFolder:
         check_name("side", side, SIDES)
         if hand is not None:
             check_name("hand", hand, SUBJECTS)
-        person = _check_name("subject", subject)
+        person = check_file_name("subject", subject)
         source = motion if isinstance(motion, Mapping) else check_path("motion", motion)
         table = read_motion_table(source, config or MotionConfig())
         missing, unknown = set(others) - set(table.bodies), set(table.bodies) - {OBJECT, *others}
@@ -219,15 +219,13 @@ class CustomSceneFolder:
         arrays = make_trajectory(table, others, model, fingers)
         first, last = (None, None) if model is None else arrays["hand_span"].tolist()
         check_motion(arrays["object_dof"], arrays["hand_dof"], first, last, bodies)
-        if recording is not None:
-            _check_name("recording", recording)
         with self._change(MOTION_FOLDER) as content:
             number = len(content.scenes)
             name = f"{person}/{recording or f'{number:06d}'}"
             if name in [other.name for other in content.scenes]:
                 raise OptionError(f"recording must be new, got {name!r}, which {self.folder} has already; rename it")
-            write_arrays(get_motion_path(self.folder, number), arrays)
             scene = CustomScene(name, side, hand, names, table.repairs)
+            write_arrays(get_motion_path(self.folder, number), arrays)
             # The new scene is in no split until the splits are made again.
             replace(content, scenes=(*content.scenes, scene)).write(self.folder)
         return scene
@@ -252,7 +250,7 @@ class CustomSceneFolder:
             OptionError: The name is reserved, a share is out of range, or the train split would be empty.
             UnknownNameError: There is no such way to divide scenes, or no such object or person.
         """
-        _check_name("name", name, RESERVED_SETUPS)
+        check_file_name("name", name, RESERVED_SETUPS)
         if not self.folder.is_dir():
             raise ResultsError(f"{self.folder} does not exist; add an object or a motion first")
         with self._change() as content:
@@ -296,13 +294,6 @@ def _read_bodies(names: Sequence[str], urdfs: Sequence[Path]) -> dict[str, npt.N
     return {body: read_collision_mesh(urdf)[0] for body, urdf in zip((OBJECT, *names[1:]), urdfs, strict=True)}
 
 
-def _check_name(argument: str, value: object, reserved: Collection[str] = ()) -> str:
-    try:
-        return check_file_name(value, reserved)
-    except ValueError as error:
-        raise OptionError(f"{argument} {error}") from None
-
-
 def _split_scenes(
     content: SceneFile, by: str, shares: Mapping[str, Iterable[str] | float], seed: int
 ) -> dict[str, tuple[int, ...]]:
@@ -312,8 +303,6 @@ def _split_scenes(
         for number, scene in enumerate(content.scenes)
     ]
     groups = list(dict.fromkeys(keys))
-    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
-        raise OptionError(f"seed must be a whole number from 0 on, got {shorten_text(seed)}; choose another one")
     drawn = [groups[index] for index in np.random.default_rng(seed).permutation(len(groups))]
     home: dict[str, str] = {}
     for split, chosen in shares.items():

@@ -40,7 +40,6 @@ _MOTIVE_LENGTHS: Final = {"Meters": "m", "Centimeters": "cm", "Millimeters": "mm
 _TIMES: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _PARTS: Final = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _MAX_BYTES = 200_000_000
-_MAX_HEADER = 20_000  # characters of header lines
 _MAX_NORM_ERROR = 0.02  # of quaternions
 _ROUNDING = 1e-9  # of differences of times (s)
 
@@ -146,11 +145,6 @@ def _read_file(path: Path, config: MotionConfig) -> tuple[dict[str, Any], Motion
     # Columns of quaternions have names.
     config = replace(config, quaternion="xyzw")
     is_motive = text.startswith("Format Version,")
-    if not is_motive and any(mark in text[:_MAX_HEADER] for mark in ("Rigid Body", "Frame,Time (")):
-        raise DataFormatError(
-            f"{path}: looks like a file of Motive without its first line, 'Format Version,...'; export it with all "
-            "header lines"
-        )
     return _parse_motive(path, text, config) if is_motive else (_parse_csv(path, text), config)
 
 

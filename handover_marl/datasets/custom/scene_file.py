@@ -17,7 +17,7 @@ from typing import Any, Final
 
 from handover_marl.assets.hand_model import SIDES, SUBJECTS
 from handover_marl.datasets.splits import SETUPS, SPLITS
-from handover_marl.errors import DataNotFoundError, check_name
+from handover_marl.errors import DataNotFoundError, OptionError, check_name
 from handover_marl.execution.files import shorten_text, write_atomically
 from handover_marl.execution.reading import read_plain_file, report_damage
 from handover_marl.geometry.panda import OPEN
@@ -58,7 +58,7 @@ class CustomObject:
     repairs: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        check_file_name(self.name, CLASS_NAMES.values())
+        check_file_name("name of an object", self.name, CLASS_NAMES.values())
 
     def __str__(self) -> str:
         grasps = f"{self.n_grasps} grasps held in simulation, of {self.n_candidates} that were tried"
@@ -88,8 +88,8 @@ class CustomScene:
 
     def __post_init__(self) -> None:
         subject, recording = self.name.split("/")
-        for name in (subject, recording):
-            check_file_name(name)
+        check_file_name("subject", subject)
+        check_file_name("recording", recording)
         check_name("side", self.side, SIDES)
         if self.hand is not None:
             check_name("hand", self.hand, SUBJECTS)
@@ -122,7 +122,7 @@ class SceneFile:
     setups: Mapping[str, Mapping[str, tuple[int, ...]]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        check_file_name(self.name)
+        check_file_name("name", self.name)
         unique: dict[str, Sequence[object]] = {
             "names of objects": [item.name for item in self.objects],
             "numbers of objects": [*CLASS_NAMES, *(item.number for item in self.objects)],
@@ -136,7 +136,7 @@ class SceneFile:
         for name in chain(*(scene.objects for scene in self.scenes)):
             check_name("class", name, self.object_names.values())
         for name, setup in self.setups.items():
-            check_file_name(name, RESERVED_SETUPS)
+            check_file_name("name of a setup", name, RESERVED_SETUPS)
             for number in chain(*setup.values()):
                 check_name("scene", number, range(len(self.scenes)))
 
@@ -169,12 +169,14 @@ class SceneFile:
         write_atomically(folder / SCENE_FILE, json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 
-def check_file_name(name: object, reserved: Collection[str] = ()) -> str:
-    """Check that a name can be part of a file name and is not reserved, and return it; else raise `ValueError`."""
+def check_file_name(argument: str, name: object, reserved: Collection[str] = ()) -> str:
+    """Return a name that can be part of a file name and is not reserved; else raise `OptionError` for `argument`."""
     if not isinstance(name, str) or not _NAME.fullmatch(name):
-        raise ValueError(f"must be 1 to 64 letters, digits, '_', '.' or '-', got {shorten_text(repr(name))}")
+        raise OptionError(
+            f"{argument} must be 1 to 64 letters, digits, '_', '.' or '-', got {shorten_text(repr(name))}; rename it"
+        )
     if name in reserved:
-        raise ValueError(f"must not be one of {', '.join(reserved)}, got {name!r}; choose another one")
+        raise OptionError(f"{argument} must not be one of {', '.join(reserved)}, got {name!r}; choose another one")
     return name
 
 

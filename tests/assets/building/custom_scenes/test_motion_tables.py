@@ -146,7 +146,6 @@ def test_files_of_motive_and_offsets_of_markers(old: bool, tmp_path: Path) -> No
     ("before", "after", "message"),
     [
         ("object", "Mug", "object is missing; .* this one has time, Mug, wrist; rename"),
-        ("Format Version,1.2", "", "Motive without its first line"),
         ("Quaternion", "XYZ", "Rotation Type in the first line must be Quaternion, got XYZ"),
         ("Length Units,Millimeters", "", "Length Units in the first line must be Meters or .*, got none"),
         ("0.600000", "abc", "could not convert string 'abc'"),
