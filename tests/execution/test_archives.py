@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from handover_marl.datasets.dexycb.stand_ins import open_folder
+from handover_marl.datasets.dexycb.assets import open_folder
 from handover_marl.errors import DataFormatError, DataNotFoundError
 
 CONTENT = {"assets/a.obj": b"v 0 0 0\n", "assets/grasps/b.npy": b"\x93NUMPY", "README": b""}

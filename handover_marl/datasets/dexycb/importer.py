@@ -7,15 +7,22 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from handover_marl.datasets.dexycb.assets import (
+    ARCHIVE_NAME,
     find_table_folder,
+    install_third_party,
     write_hand_assets,
     write_object_assets,
+    write_stand_ins,
     write_table_assets,
 )
 from handover_marl.datasets.dexycb.mano import SIDES, ManoModel, read_mano_models
-from handover_marl.datasets.dexycb.raw_files import SequenceFolder, find_sequences
-from handover_marl.datasets.dexycb.scenes import BetasBySubject, find_first_betas, import_scene
-from handover_marl.datasets.dexycb.stand_ins import ARCHIVE_NAME, install_third_party, write_stand_ins
+from handover_marl.datasets.dexycb.scenes import (
+    BetasBySubject,
+    SequenceFolder,
+    find_first_betas,
+    find_sequences,
+    import_scene,
+)
 from handover_marl.datasets.official import CACHE_FOLDER
 from handover_marl.datasets.official_files import is_stand_in_file, list_required_files
 from handover_marl.datasets.splits import N_SCENES, choose_scenes

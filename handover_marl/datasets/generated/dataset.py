@@ -28,7 +28,6 @@ from handover_marl.datasets.generated.config import (
 from handover_marl.datasets.generated.grasps import draw_human_grasps, draw_robot_grasps
 from handover_marl.datasets.generated.hands import Person, draw_person
 from handover_marl.datasets.generated.motion import KeyframeMotion, add_post_arrival_motion, draw_far_positions
-from handover_marl.datasets.generated.objects import ProceduralObject, draw_object
 from handover_marl.datasets.generated.placement import (
     ClutterItem,
     SimulatedGiver,
@@ -42,7 +41,7 @@ from handover_marl.datasets.generated.scenes import (
     generate_handover,
     make_subject_giver,
 )
-from handover_marl.datasets.generated.shapes import Solid, make_surface
+from handover_marl.datasets.generated.shapes import ProceduralObject, Solid, draw_object, make_surface
 from handover_marl.datasets.splits import SPLITS
 from handover_marl.errors import DataNotFoundError, HandoverError, ResultsError, check_name
 from handover_marl.execution.files import write_atomically

@@ -12,8 +12,13 @@ import pytest
 from handover_marl.assets.shipped import find_object_urdf, load_object_grasps
 from handover_marl.datasets import OfficialDataset
 from handover_marl.datasets.dexycb import assets
-from handover_marl.datasets.dexycb.assets import format_numbers, write_object_assets, write_table_assets
-from handover_marl.datasets.dexycb.stand_ins import install_third_party, write_stand_ins
+from handover_marl.datasets.dexycb.assets import (
+    format_numbers,
+    install_third_party,
+    write_object_assets,
+    write_stand_ins,
+    write_table_assets,
+)
 from handover_marl.datasets.official import load_grasps
 from handover_marl.datasets.official_files import PANDA_FILES, is_stand_in_file, list_required_files
 from handover_marl.episode.episode import Episode

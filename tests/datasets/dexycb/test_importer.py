@@ -15,7 +15,7 @@ import pytest
 from handover_marl.cli import main
 from handover_marl.datasets import OfficialDataset
 from handover_marl.datasets.dexycb.importer import ImportReport, import_dexycb
-from handover_marl.datasets.dexycb.raw_files import SequenceFolder, find_sequences, read_sequence, read_sequence_names
+from handover_marl.datasets.dexycb.scenes import SequenceFolder, find_sequences, read_sequence, read_sequence_names
 from handover_marl.datasets.official import CACHE_FOLDER
 from handover_marl.datasets.official_files import list_required_files
 from handover_marl.errors import (

@@ -19,9 +19,8 @@ from handover_marl.datasets.generated.dataset import FIRST_CLASS, GRASPABLE_CLAS
 from handover_marl.datasets.generated.grasps import draw_human_grasps, draw_robot_grasps
 from handover_marl.datasets.generated.hands import draw_person
 from handover_marl.datasets.generated.motion import MAX_SPEED, resample_fingers, resample_poses
-from handover_marl.datasets.generated.objects import ProceduralObject, draw_object
 from handover_marl.datasets.generated.random_stream import RandomStream
-from handover_marl.datasets.generated.shapes import Solid, make_surface
+from handover_marl.datasets.generated.shapes import ProceduralObject, Solid, draw_object, make_surface
 from handover_marl.errors import HandoverError, SceneError, UnknownNameError
 from handover_marl.geometry.model_files.meshes import check_model, read_collision_mesh
 from tests.helpers.equality import hash_scene
