@@ -27,10 +27,6 @@ SPLIT_SIZES = {
 #: Objects 0 (master chef can) and 15 (wood block), too large for the gripper and in no split.
 SKIPPED_OBJECTS = frozenset({0, 15})
 
-#: Trials with a prescribed hand: right in the first two, left in the others. Subjects chose the
-#: hand of the last trial themselves.
-PRESCRIBED_SIDE_TRIALS = range(4)
-
 # Subjects, objects, trials and hands of the scenes of each split; all where it says none.
 _FILTERS: dict[tuple[str, str], dict[str, Collection[object]]] = {
     ("s0", "train"): {"trial": range(4)},
@@ -49,15 +45,10 @@ _FILTERS: dict[tuple[str, str], dict[str, Collection[object]]] = {
 
 
 def list_split_scenes(setup: str, split: str, find_side: Callable[[int], str]) -> tuple[int, ...]:
-    """Return the scene numbers of a split in ascending order.
+    """Return the scene numbers of a split in ascending order; positions are the indices in official result files.
 
-    The position of a scene in this list is its index in the official result files.
-
-    Args:
-        setup: "s0" (no held-out factor), "s1" (unseen subjects), "s2" (unseen handedness) or "s3" (unseen objects).
-        split: "train", "val" or "test".
-        find_side: Function from a scene number to "right" or "left". The function is only called for trial 4 of setup
-            s2; the hand of the other trials is prescribed.
+    The setups are "s0" (no held-out factor), "s1" (unseen subjects), "s2" (unseen handedness), "s3" (unseen objects).
+    `find_side` returns the hand of a scene, "right" or "left"; it is only called for trial 4 of s2.
 
     Raises:
         UnknownNameError: The setup or the split does not exist.
@@ -71,20 +62,14 @@ def list_split_scenes(setup: str, split: str, find_side: Callable[[int], str]) -
         is_chosen = all(facts[name] in selected[name] for name in facts.keys() & selected.keys())
         if not is_chosen or facts["object"] in SKIPPED_OBJECTS:
             return False
-        if "side" not in selected:
-            return True
-        side = get_prescribed_side(scene) if scene % 5 in PRESCRIBED_SIDE_TRIALS else find_side(scene)
-        return side in selected["side"]
+        return "side" not in selected or (get_prescribed_side(scene) or find_side(scene)) in selected["side"]
 
     return tuple(filter(is_in_split, range(N_SCENES)))
 
 
-def get_prescribed_side(scene: int) -> Literal["left", "right"]:
-    """Return the hand, prescribed by DexYCB, that the giver of a scene uses.
-
-    Only trials in `PRESCRIBED_SIDE_TRIALS` have a prescribed hand; for other trials, the recording states the hand.
-    """
-    return "right" if scene % 5 < 2 else "left"
+def get_prescribed_side(scene: int) -> Literal["left", "right"] | None:
+    """Return the hand that DexYCB prescribes in a scene: right in trials 0 and 1, left in 2 and 3, None in trial 4."""
+    return None if scene % 5 == 4 else "right" if scene % 5 < 2 else "left"
 
 
 def choose_scenes(split_ids: tuple[int, ...], scenes: Iterable[int] | None, where: str) -> tuple[int, ...]:

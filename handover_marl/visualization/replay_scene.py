@@ -72,21 +72,14 @@ class LinkTrajectory:
 
 
 def require_replay_extra() -> None:
-    """Check that the packages for replays are installed.
-
-    Raises:
-        OptionError: A package is missing.
-    """
+    """Check that the packages for replays are installed; raise `OptionError` if one is missing."""
     require_modules("a replay (.html)", "replay", "fast_simplification", "trimesh", "viser")
 
 
 def build_replay_page(log: ReplayRecorder, facts: str, camera: CameraConfig | None = None) -> str:
-    """Return a self-contained HTML page with the replay of an episode.
+    """Return a self-contained HTML page with the replay of an episode, and `facts` on data, policies and simulation.
 
-    Args:
-        log: Recorded episode.
-        facts: Text on data, policies and simulation that the page shows.
-        camera: Initial camera; default: in front of the robot.
+    The initial camera is in front of the robot, unless `camera` is given.
 
     Raises:
         OptionError: The extra `replay` is not installed.
@@ -350,15 +343,9 @@ def _compute_body(
 
 @functools.lru_cache(maxsize=64)
 def load_simplified_meshes(urdf: Path, modified_ns: int, max_faces: int = _MAX_FACES) -> tuple[VisualMesh, ...]:
-    """Return the visual meshes of a model's links with a reduced number of triangles.
+    """Return the visual meshes of a model's links with at most `max_faces` triangles each.
 
-    Args:
-        urdf: URDF file of the model.
-        modified_ns: Modification time of the file (ns); a file with another time is read again.
-        max_faces: Largest number of triangles of a link.
-
-    Raises:
-        SimulationError, DataFormatError: The model or one of its meshes cannot be read.
+    A file with another modification time (ns) is read again.
     """
     # Imported only here, because they are optional dependencies.
     import fast_simplification

@@ -64,18 +64,14 @@ def get_motion_path(folder: Path, scene_id: int) -> Path:
 class CustomDataset(Dataset):
     """Data set of the custom scenes in a folder, see `handover_marl.datasets.custom.scene_file`.
 
-    Args:
-        folder: Path of the folder.
-        robot: Variant of the Panda, one of `handover_marl.geometry.panda.ROBOTS`.
+    The setups are "all", in which each split has every scene, and those in `scenes.json`. `robot` is as in `Dataset`.
 
     Attributes:
         content: Content of `scenes.json`.
-        setups: Names of the setups: "all", in which each split has every scene, then the setups in `scenes.json`.
 
     Raises:
-        UnknownNameError: `robot` is not in `ROBOTS`.
-        DataNotFoundError: The folder has no `scenes.json`.
-        DataFormatError: The file is damaged.
+        UnknownNameError: The robot does not exist.
+        DataNotFoundError, DataFormatError: The folder has no `scenes.json`, or the file is damaged.
     """
 
     def __init__(self, folder: Path, robot: str = PANDA) -> None:

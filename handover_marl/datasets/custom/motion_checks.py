@@ -32,11 +32,9 @@ _FRAME_ADVICE = "check frame: 'world' has its origin 0.92 m below the table's su
 
 
 def check_objects(objects: Float32, bodies: Mapping[str, Array]) -> None:
-    """Check the motion of the objects of a scene.
+    """Check the motion of the objects of a scene: (T, n, 6) positions (m), intrinsic XYZ Euler angles (rad) at 1 kHz.
 
-    Args:
-        objects: (T, n, 6) positions (m) and intrinsic XYZ Euler angles (rad) at 1 kHz in the world frame.
-        bodies: Vertices (v, 3) of the n objects in their frames (m) by name, the handed-over one first.
+    `bodies` has the vertices (v, 3) of the n objects in their frames (m) by name, the handed-over one first.
 
     Raises:
         DataFormatError: An object is below the table, out of reach, far away, or jumps; or the motion is too long or
@@ -61,14 +59,9 @@ def check_objects(objects: Float32, bodies: Mapping[str, Array]) -> None:
 def check_motion(
     objects: Float32, hand: Float32, first: int | None, last: int | None, bodies: Mapping[str, Array]
 ) -> None:
-    """Check the motion of the objects, as `check_objects`, and of the hand of a scene in the world frame.
+    """Check the motion of the objects, as `check_objects`, and of the hand, (T, 51), as in `Scene`.
 
-    Args:
-        objects: (T, n, 6) motion of the objects.
-        hand: (T, 51) position (m) and Euler angles of the hand's base, then finger joint angles (rad).
-        first: First frame with the hand, or None without a hand.
-        last: Last frame with the hand, or None.
-        bodies: Vertices of the objects, as in `check_objects`.
+    `first` and `last` are the first and last frame with the hand, or None without a hand.
 
     Raises:
         DataFormatError: The handed-over object starts in the air; or the hand is far away, jumps, is never near the

@@ -66,16 +66,11 @@ _FORMAT = 1
 
 
 class GeneratedDataset(HandoverGenerator):
-    """Scenes that are generated from a configuration; needs no data folder.
-
-    A scene is a pure function of its number and of the configuration without `n`.
+    """Scenes, each a pure function of its number and of a configuration without `n`; needs no data folder.
 
     Args:
         config: Configuration, or its text such as "n=100000,seed=7,family=hard".
-        robot: Variant of the Panda, one of `handover_marl.geometry.panda.ROBOTS`.
-
-    Attributes:
-        config: Configuration of the scenes.
+        robot: Variant of the Panda, as in `Dataset`.
 
     Raises:
         OptionError: The configuration's text is wrong, or a value is out of range.

@@ -63,15 +63,10 @@ def generate_handover(
     draw_positions: DrawPositions = draw_calibrated_positions,
     extend_motion: Callable[[KeyframeMotion, int], KeyframeMotion] | None = None,
 ) -> GeneratedHandover:
-    """Generate the handover of a person: poses, motion and other objects.
+    """Generate the handover of a person: poses, motion, and other objects, whose number is one of `clutter_counts`.
 
-    Args:
-        seed: Seed of the scene.
-        giver: Person with the handed-over object.
-        clutter_counts: Numbers of other objects, all equally likely.
-        draw_item: Function that draws another object for the table.
-        draw_positions: Function that draws the handed-over object's positions at the start and at the handover.
-        extend_motion: Function that continues a motion after the arrival, given the index of the grasp; None for none.
+    `draw_positions` draws the handed-over object's positions at the start and at the handover; `extend_motion`
+    continues a motion after the arrival, given the index of the grasp.
     """
     placement = draw_placement(open_stream(seed, "placement"), giver, draw_positions)
     motion = draw_motion(seed, placement, giver)
