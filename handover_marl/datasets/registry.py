@@ -131,12 +131,11 @@ def find_dataset_note(name: str) -> str:
 
 @dataclass(frozen=True)
 class DataLocation:
-    """Data folder as known to the machine that starts an evaluation.
+    """Data folder as known to the machine that starts an evaluation: absolute paths, "" for none.
 
     Attributes:
-        argument: Absolute path of the folder passed as an argument, or "" if none was.
-        environment: Absolute path in the environment variable `HANDOVER_MARL_DATA` of that machine,
-            or "" if it is not set or the data set is not DexYCB.
+        argument: Folder passed as an argument.
+        environment: Folder in `HANDOVER_MARL_DATA` of that machine, if the data set is DexYCB.
     """
 
     argument: str = ""

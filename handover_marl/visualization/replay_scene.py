@@ -290,10 +290,9 @@ def compute_link_trajectories(log: ReplayRecorder) -> Iterator[LinkTrajectory]:
     snapshots = [frame.snapshot for frame in log.frames]
     always = np.ones(len(snapshots), dtype=bool)
     table = np.array([*config.table_position, 0.0, 0.0, 0.0, 1.0])
-    label = SegmentationLabel.TABLE
-    yield from _compute_body("table", label, assets.table, np.zeros((1, 0)), always[:1], table)
-    label, base, joints = SegmentationLabel.ROBOT, get_robot_base_pose(log), _stack_robot(snapshots)
-    yield from _compute_body("robot", label, assets.panda, joints, always, base)
+    yield from _compute_body("table", SegmentationLabel.TABLE, assets.table, np.zeros((1, 0)), always[:1], table)
+    base = np.array([*config.panda.base_position, *config.panda.base_orientation])
+    yield from _compute_body("robot", SegmentationLabel.ROBOT, assets.panda, _stack_robot(snapshots), always, base)
     for number, urdf in enumerate(assets.objects):
         label = SegmentationLabel.OTHER_OBJECT if number else SegmentationLabel.TARGET
         joints = np.array([snapshot.objects[number] for snapshot in snapshots])
@@ -305,16 +304,11 @@ def compute_link_trajectories(log: ReplayRecorder) -> Iterator[LinkTrajectory]:
         yield from _compute_body("hand", SegmentationLabel.HAND, assets.hand, joints, is_present)
 
 
-def get_robot_base_pose(log: ReplayRecorder) -> Array:
-    """Return the world pose (7,) of the robot base in an episode, xyz (m) and quaternion xyzw."""
-    panda = log.config.physics.panda
-    return np.array([*panda.base_position, *panda.base_orientation])
-
-
 def compute_robot_link_poses(log: ReplayRecorder, snapshots: Sequence[JointSnapshot], names: Sequence[str]) -> Array:
     """Return the world poses (m, k, 7) of k links of the robot, xyz (m) and quaternions xyzw, in m snapshots."""
-    urdf = log.scene.assets.panda
-    origins, rotations = compute_link_trajectory(urdf, _stack_robot(snapshots), get_robot_base_pose(log))
+    urdf, panda = log.scene.assets.panda, log.config.physics.panda
+    base = [*panda.base_position, *panda.base_orientation]
+    origins, rotations = compute_link_trajectory(urdf, _stack_robot(snapshots), base)
     chosen = [read_tree(urdf).get_link(name) for name in names]
     return poses_from_rotations(origins[:, chosen], rotations[:, chosen])
 

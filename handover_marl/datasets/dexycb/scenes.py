@@ -283,7 +283,7 @@ def import_scene(
     """
     meta, world_from_tag, betas, objects, hand = read_sequence(sequence)
     (side,) = meta["mano_sides"]
-    model, tag = models[side], TagFrame.from_extrinsics(world_from_tag)
+    model, tag = models[side], TagFrame(world_from_tag)
     base = model.locate_wrist(first_betas.get((sequence.subject, side), betas))
     trajectories = [compute_object_trajectory(objects[:, number], tag) for number in range(objects.shape[1])]
     hand_trajectory = compute_hand_trajectory(hand, tag, model, model.locate_wrist(betas), base)
