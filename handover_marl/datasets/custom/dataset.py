@@ -24,8 +24,7 @@ from handover_marl.datasets.dataset import Dataset, Scene, SceneAssets, SceneInf
 from handover_marl.datasets.official import check_grasps, read_motion
 from handover_marl.datasets.official_files import require_file
 from handover_marl.datasets.splits import SPLITS
-from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError, UnknownNameError, check_name
-from handover_marl.execution.options import check_path
+from handover_marl.errors import DataFormatError, DataNotFoundError, UnknownNameError, check_name
 from handover_marl.execution.reading import read_arrays, read_plain_file, report_damage
 from handover_marl.geometry.model_files.urdf import list_mesh_references
 from handover_marl.geometry.panda import PANDA
@@ -34,26 +33,7 @@ from handover_marl.geometry.ycb import CLASS_NAMES
 Array = npt.NDArray[np.float64]
 
 OBJECT_FOLDER, MOTION_FOLDER, GRASP_FILE = "objects", "motion", "grasps.npz"
-#: Prefix of the names of these data sets.
-PREFIX = "own"
 _ADVICE = "copy the folder again, or add its object or motion again"
-
-
-def open_custom_dataset(argument: str, data_dir: str | None, robot: str) -> "CustomDataset":
-    """Open the custom scenes in the folder `argument`; or in `data_dir`, if its data set has the name `argument`.
-
-    Raises:
-        OptionError: The data set in the folder has another name than `argument`.
-        DataNotFoundError: The folder does not exist or has no scenes.
-        DataFormatError: A file is damaged.
-    """
-    folder = check_path("dataset" if data_dir is None else "data_dir", data_dir or argument)
-    dataset = CustomDataset(folder.resolve(), robot)
-    if data_dir is not None and argument != dataset.content.name:
-        raise OptionError(
-            f"data_dir must hold the scenes {argument!r}, got {folder} with {dataset.content.name!r}; pass their folder"
-        )
-    return dataset
 
 
 def get_motion_path(folder: Path, scene_id: int) -> Path:
@@ -78,7 +58,7 @@ class CustomDataset(Dataset):
         super().__init__(robot)
         self.folder = folder
         self.source_folder, self.content = folder, read_scene_file(folder)
-        self.name, self.object_names = f"{PREFIX}:{self.content.name}", self.content.object_names
+        self.name, self.object_names = f"own:{self.content.name}", self.content.object_names
         self.n_scenes, self.setups = len(self.content.scenes), (ALL_SCENES, *self.content.setups)
         self._numbers = {name: number for number, name in self.object_names.items()}
         self._hash_model = lru_cache(maxsize=None)(_hash_model)

@@ -8,6 +8,7 @@ recordings. Known DexYCB names have their official rank, even if other recording
 subject with other names must have all 100 recordings. The import of a scene depends on no other scene.
 """
 
+import contextlib
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -256,13 +257,11 @@ def find_first_betas(sequences: Iterable[SequenceFolder]) -> dict[tuple[str, str
     for sequence in sequences:
         if {(sequence.subject, "right"), (sequence.subject, "left")} <= first.keys():
             continue
-        try:
+        with contextlib.suppress(DataNotFoundError, DataFormatError):
             meta = read_meta(sequence)
             key = sequence.subject, meta["mano_sides"][0]
             if key not in first:
                 first[key] = read_betas(sequence, meta)
-        except (DataNotFoundError, DataFormatError):
-            continue
     return first
 
 
