@@ -51,11 +51,6 @@ from handover_marl.execution.options import check_path
 from handover_marl.geometry.model_files.meshes import check_model, read_collision_mesh
 from handover_marl.geometry.ycb import CLASS_NAMES, LARGEST_YCB_CLASS
 
-#: Ways to divide scenes: by the object that is handed over, by the person, or at random.
-DIVISIONS = ("object", "person", "random")
-#: Hand of recordings without a choice: a man's at the 50th percentile of hand length.
-DEFAULT_HAND = 6
-
 
 class CustomSceneFolder:
     """Folder of custom scenes, created if it does not exist; its methods add objects, motions and splits.
@@ -164,7 +159,7 @@ class CustomSceneFolder:
         *,
         recording: str | None = None,
         side: str = "right",
-        hand: int | None = DEFAULT_HAND,
+        hand: int | None = 6,
         others: Sequence[str] = (),
     ) -> CustomScene:
         """Add a scene: the recorded motion of an object, a wrist and other objects.
@@ -177,8 +172,8 @@ class CustomSceneFolder:
             config: Frames and units of the recording; default: `MotionConfig()`.
             recording: Name of the recording; default: the number of the scene.
             side: Hand of the person, "right" or "left".
-            hand: Number of the shipped hand, 1 to 10; None for a scene without a hand. Its fingers follow the
-                recording, or close on the object before it leaves its place.
+            hand: Number of the shipped hand, 1 to 10, by default a man's of mean length; None for a scene without a
+                hand. Its fingers follow the recording, or close on the object before it leaves its place.
             others: Classes of the other objects on the table, each with poses in the recording.
 
         Returns:
@@ -297,7 +292,7 @@ def _read_bodies(names: Sequence[str], urdfs: Sequence[Path]) -> dict[str, npt.N
 def _split_scenes(
     content: SceneFile, by: str, shares: Mapping[str, Iterable[str] | float], seed: int
 ) -> dict[str, tuple[int, ...]]:
-    check_name("by", by, DIVISIONS)
+    check_name("by", by, ("object", "person", "random"))
     keys = [
         {"object": scene.objects[0], "person": scene.subject, "random": str(number)}[by]
         for number, scene in enumerate(content.scenes)

@@ -85,7 +85,7 @@ class ObjectMesh:
     repairs: tuple[str, ...]
 
 
-def make_object_mesh(source: "str | Path | trimesh.Trimesh", config: MeshConfig) -> ObjectMesh:
+def make_object_mesh(source: Path | trimesh.Trimesh, config: MeshConfig) -> ObjectMesh:
     """Read a mesh, from a file of any format that trimesh reads, repair it, and divide it into convex parts.
 
     Raises:
@@ -94,7 +94,7 @@ def make_object_mesh(source: "str | Path | trimesh.Trimesh", config: MeshConfig)
         OptionError: A package is missing.
     """
     require_modules("an own object", "assets,import", "coacd", "trimesh")
-    name = str(source) if isinstance(source, (str, Path)) else "the mesh"
+    name = str(source) if isinstance(source, Path) else "the mesh"
     mesh, repairs = _repair_mesh(_read_mesh(source), config, name)
     corners = decompose_convex(np.asarray(mesh.vertices), np.asarray(mesh.faces), config.concavity)
     if not corners:
@@ -117,10 +117,9 @@ def write_object(folder: Path, item: ObjectMesh, config: MeshConfig) -> None:
         write_atomically(folder / name, content)
 
 
-def _read_mesh(source: "str | Path | trimesh.Trimesh") -> trimesh.Trimesh:
-    if isinstance(source, trimesh.Trimesh):
-        return source.copy()
-    path = Path(source).expanduser()
+def _read_mesh(path: Path | trimesh.Trimesh) -> trimesh.Trimesh:
+    if isinstance(path, trimesh.Trimesh):
+        return path.copy()
     with report_damage(path, "mesh", "give a mesh file that trimesh reads, such as STL, OBJ or PLY"):
         check_plain_file(path, _MAX_BYTES)
         if path.suffix.lower() == ".obj":

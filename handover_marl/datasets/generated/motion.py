@@ -133,8 +133,7 @@ def minimum_jerk(time: npt.ArrayLike) -> Array:
 
 def _draw_timing(random: RandomStream, speed: float, entry_distance: float, lift_time: float) -> HandoverTiming:
     """Draw a timing with a wrist's peak speed (m/s), a reach of `entry_distance` (m) and a lift of `lift_time` (s)."""
-    counts = FRAME_COUNTS
-    n_frames = list(counts)[random.weighted_index(list(counts.values()))]
+    n_frames = list(FRAME_COUNTS)[random.weighted_index(list(FRAME_COUNTS.values()))]
     onset = round(random.draw_quantile("hand_onset"))
     onset_share = random.uniform(0.05, 0.40)
     close = _CLOSING_FRAMES[0] + random.integer(_CLOSING_FRAMES[1] - _CLOSING_FRAMES[0])
