@@ -1,19 +1,14 @@
-"""Procedural model of the human hand: dimensions, kinematics and model files.
+"""Procedural model of the human hand: dimensions, kinematics and model files; human grasps of the 20 YCB objects.
 
 The hand has HandoverSim's structure: a base on three prismatic and three continuous joints (x, y, z), a palm that is
 fixed to the base at an offset, and 15 finger joints with three revolute axes (x, y, z) each. At zero angles all link
 frames are parallel to the base: fingers along -x, back of the hand along +y, thumb towards +z. A left hand is a right
 hand mirrored in x. Joint angles are intrinsic XYZ Euler angles (rad).
 
-Sources of the dimensions:
-    Buryanov and Kotiuk, "Proportions of hand segments", Int. J. Morphol. 28(3):755-758, 2010: mean
-    lengths of the bones of 66 adults' hands in radiographs, and of the soft tissue at the fingertip.
-    Gordon et al., "1988 Anthropometric Survey of U.S. Army Personnel: Methods and Summary
-    Statistics", Natick TR-89/044, 1989: hand length and breadth of women and men.
-    Greiner, "Hand Anthropometry of U.S. Army Personnel", Natick TR-92/011, 1991: circumferences of
-    finger joints in the same survey.
+`data/hand_dimensions.json` has the dimensions with their sources.
 """
 
+import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -24,43 +19,16 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.assets.shipped import TEMPLATES_PACKAGE
+from handover_marl.assets.shipped import DATA_ROOT, TEMPLATES_PACKAGE, load_shipped_arrays
 from handover_marl.geometry.model_files.urdf import render_urdf
-from handover_marl.geometry.rotations import matrices_from_euler
+from handover_marl.geometry.rotations import euler_from_matrices, matrices_from_euler, rotate_points
+from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES
 
 Side = Literal["left", "right"]
 FloatArray = npt.NDArray[np.float64]
 
-
-@dataclass(frozen=True)
-class Digit:
-    """Mean bone lengths (m) of one digit of the human hand.
-
-    Attributes:
-        metacarpal: Length of the metacarpal bone, which is movable in the thumb only.
-        phalanges: Lengths of the phalanges from the knuckle outwards; the thumb has two.
-        tip: Thickness of the soft tissue at the fingertip.
-    """
-
-    metacarpal: float
-    phalanges: tuple[float, ...]
-    tip: float
-
-
-#: Buryanov and Kotiuk (2010), Table I.
-DIGITS: Final = MappingProxyType(
-    {
-        "index": Digit(0.06812, (0.03978, 0.02238, 0.01582), 0.00384),
-        "middle": Digit(0.06460, (0.04463, 0.02633, 0.01740), 0.00395),
-        "little": Digit(0.05369, (0.03274, 0.01811, 0.01596), 0.00373),
-        "ring": Digit(0.05800, (0.04137, 0.02565, 0.01730), 0.00395),
-        "thumb": Digit(0.04622, (0.03157, 0.02167), 0.00567),
-    }
-)
-
-#: Distance (m) from the wrist's center to the base of each metacarpal. Not measured: chosen for a
-#: hand of about average length with its knuckles on an arc.
-CARPUS: Final = MappingProxyType({"index": 0.021, "middle": 0.0285, "ring": 0.0255, "little": 0.0215})
+_DIMENSIONS = json.loads((DATA_ROOT / "hand_dimensions.json").read_text())
+_DIGITS = _DIMENSIONS["digits"]
 
 
 @dataclass(frozen=True)
@@ -76,42 +44,25 @@ class HandSize:
     breadth: float
 
 
+_MIDDLE = _DIGITS["middle"]
 #: Size of the reference hand: mean bone lengths, mean breadth of women and men. All other hands are scaled from it.
 REFERENCE_SIZE: Final = HandSize(
-    length=CARPUS["middle"] + DIGITS["middle"].metacarpal + sum(DIGITS["middle"].phalanges) + DIGITS["middle"].tip,
-    breadth=0.0850,
+    length=_MIDDLE["carpus"] + _MIDDLE["metacarpal"] + sum(_MIDDLE["phalanges"]) + _MIDDLE["tip"],
+    breadth=_DIMENSIONS["breadth"],
 )
 
-#: Mean and standard deviation (m) of hand length and of hand breadth (Gordon et al., 1989).
-WOMEN: Final = ((0.1805, 0.0097), (0.0794, 0.0038))
-MEN: Final = ((0.1938, 0.0098), (0.0904, 0.0042))
-
-# Standard scores of length (5th, 25th, 50th, 75th and 95th percentile) and of breadth. Breadth rises
-# with length at a slope of about 0.6, with manual deviations for slender and broad hands.
-_SCORES = ((-1.645, -1.3), (-0.674, 0.2), (0.0, -0.5), (0.674, 0.8), (1.645, 0.9))
-
-
+#: Mean and standard deviation (m) of hand length and of hand breadth.
+WOMEN: Final[list[list[float]]] = _DIMENSIONS["women"]
+MEN: Final[list[list[float]]] = _DIMENSIONS["men"]
 #: Hand sizes of the ten subjects: in turn a woman and a man at the 5th, 25th, 50th, 75th and 95th
 #: percentile of hand length.
 SUBJECT_SIZES: Final = tuple(
     HandSize(round(length[0] + scores[0] * length[1], 4), round(breadth[0] + scores[1] * breadth[1], 4))
-    for scores in _SCORES
+    for scores in _DIMENSIONS["scores"]
     for length, breadth in (WOMEN, MEN)
 )
-
 #: Skin colors (red, green, blue, 0 to 1) of the ten subjects.
-SKIN_COLORS: Final = (
-    (0.91, 0.75, 0.66),
-    (0.55, 0.37, 0.27),
-    (0.86, 0.67, 0.54),
-    (0.93, 0.79, 0.71),
-    (0.42, 0.28, 0.20),
-    (0.78, 0.58, 0.44),
-    (0.69, 0.49, 0.36),
-    (0.89, 0.71, 0.60),
-    (0.34, 0.23, 0.17),
-    (0.81, 0.62, 0.50),
-)
+SKIN_COLORS: Final = [tuple(color) for color in _DIMENSIONS["skin_colors"]]
 
 SIDES: Final[tuple[Side, Side]] = ("left", "right")
 SUBJECTS: Final = range(1, len(SUBJECT_SIZES) + 1)
@@ -121,29 +72,6 @@ DIGIT_ORDER: Final = ("index", "middle", "little", "ring", "thumb")
 
 #: Folder of the shipped hand models: a folder with a URDF for each hand, and the meshes of all hands.
 HANDS_FOLDER: Final = Path(__file__).parent / "data" / "hands"
-
-# Reference hand: positions z and y (m) of the knuckles and splay angles (rad) of straight fingers,
-# then position and direction of the thumb's root and position of the palm in the base (m). The
-# hand's breadth is the distance of the outer knuckles plus the thickness of a finger.
-_KNUCKLE_Z: Final = MappingProxyType({"index": 0.0235, "middle": 0.0015, "ring": -0.0190, "little": -0.0375})
-_KNUCKLE_Y: Final = MappingProxyType({"index": -0.002, "middle": 0.0, "ring": -0.002, "little": -0.006})
-_SPLAY: Final = MappingProxyType({"index": 0.06, "middle": 0.0, "ring": -0.05, "little": -0.13})
-_THUMB_ROOT: Final = (-0.0170, -0.0090, 0.0200)
-_THUMB_DIRECTION: Final = (-0.72, -0.42, 0.55)
-_PALM_OFFSET: Final = (0.0950, 0.0063, 0.0060)
-
-# Radii (m) at root, middle joint, end joint and tip. At the fingers' middle and end joints and at the
-# thumb's end joint they are 2 to 6 % below the radii of the mean circumferences of men's joints
-# (Greiner, 1991), scaled to the reference hand's breadth; the others continue the taper.
-_RADII: Final = MappingProxyType(
-    {
-        "index": (0.0112, 0.0096, 0.0083, 0.0069),
-        "middle": (0.0114, 0.0098, 0.0084, 0.0070),
-        "little": (0.0097, 0.0082, 0.0071, 0.0060),
-        "ring": (0.0109, 0.0093, 0.0079, 0.0066),
-        "thumb": (0.0145, 0.0120, 0.0105, 0.0082),
-    }
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,15 +136,15 @@ def _compute_reference_bones() -> Mapping[str, tuple[FloatArray, FloatArray]]:
     """Return positions (3, 3) of the joints and ends (3, 3) of the bones (m) of the reference hand by digit."""
     bones = {}
     for name in DIGIT_ORDER:
-        digit, thumb = DIGITS[name], name == "thumb"
-        if thumb:
-            direction = np.array(_THUMB_DIRECTION) / np.linalg.norm(_THUMB_DIRECTION)
-            root, lengths = np.array(_THUMB_ROOT), [digit.metacarpal, *digit.phalanges]
+        digit = _DIGITS[name]
+        if name == "thumb":
+            direction = np.array(_DIMENSIONS["thumb_direction"]) / np.linalg.norm(_DIMENSIONS["thumb_direction"])
+            root, lengths = np.array(_DIMENSIONS["thumb_root"]), [digit["metacarpal"], *digit["phalanges"]]
         else:
-            direction = np.array([-np.cos(_SPLAY[name]), 0.0, np.sin(_SPLAY[name])])
-            reach, y, z = CARPUS[name] + digit.metacarpal, _KNUCKLE_Y[name], _KNUCKLE_Z[name]
-            root, lengths = np.array([-np.sqrt(reach**2 - y**2 - z**2), y, z]), list(digit.phalanges)
-        lengths[-1] += digit.tip - _RADII[name][-1]
+            direction = np.array([-np.cos(digit["splay"]), 0.0, np.sin(digit["splay"])])
+            reach, (y, z) = digit["carpus"] + digit["metacarpal"], digit["knuckle"]
+            root, lengths = np.array([-np.sqrt(reach**2 - y**2 - z**2), y, z]), [*digit["phalanges"]]
+        lengths[-1] += digit["tip"] - digit["radii"][-1]
         ends = np.outer(lengths, direction)
         bones[name] = np.vstack([root, ends[:2]]), ends
     return bones
@@ -228,12 +156,12 @@ def scale_hand(size: HandSize, side: Side) -> HandGeometry:
     scale = np.array([size.length / REFERENCE_SIZE.length, across, across])
     stretch = scale * np.array([-1.0 if side == "left" else 1.0, 1.0, 1.0])
     bones = _compute_reference_bones()
-    radii = np.array([_RADII[name][joint : joint + 2] for name in DIGIT_ORDER for joint in range(3)])
+    radii = np.array([_DIGITS[name]["radii"][joint : joint + 2] for name in DIGIT_ORDER for joint in range(3)])
     return HandGeometry(
         side=side,
         size=size,
         scale=scale,
-        palm_offset=_round_to_micrometres(np.array(_PALM_OFFSET) * stretch),
+        palm_offset=_round_to_micrometres(np.array(_DIMENSIONS["palm_offset"]) * stretch),
         joint_origins=_round_to_micrometres(np.vstack([bones[name][0] for name in DIGIT_ORDER]) * stretch),
         tips=_round_to_micrometres(np.vstack([bones[name][1] for name in DIGIT_ORDER]) * stretch),
         radii=_round_to_micrometres(radii * across),
@@ -256,13 +184,6 @@ def _round_to_micrometres(values: FloatArray) -> FloatArray:
     return np.round(values, 6) + 0.0
 
 
-#: Names of the links with meshes: palm, then phalanges.
-MESH_NAMES: Final = ("palm", *(f"{digit}{joint}" for digit in DIGIT_ORDER for joint in (1, 2, 3)))
-
-_PALM_MASS, _PHALANX_MASS = 0.2, 0.02
-_FINGER_LIMITS = (np.pi, np.pi / 2, np.pi)
-
-
 def format_hand_urdf(model: HandGeometry, name: str, color: tuple[float, float, float], folder: str) -> str:
     """Return the text of a hand's URDF with HandoverSim's 53 links, an RGB color (0 to 1) and a folder of meshes."""
     return render_urdf(
@@ -272,10 +193,10 @@ def format_hand_urdf(model: HandGeometry, name: str, color: tuple[float, float, 
         color=format_numbers((*color, 1.0)),
         scale=format_numbers(model.scale),
         folder=folder,
-        meshes=MESH_NAMES,
+        meshes=["palm", *(f"{digit}{joint}" for digit in DIGIT_ORDER for joint in (1, 2, 3))],
         positions=[format_numbers(position) for position in (model.palm_offset, *model.joint_origins)],
-        masses=(_PALM_MASS, _PHALANX_MASS),
-        limits=_FINGER_LIMITS,
+        masses=(0.2, 0.02),
+        limits=(np.pi, np.pi / 2, np.pi),
     )
 
 
@@ -284,3 +205,79 @@ def format_numbers(values: Iterable[float]) -> str:
     # Adding zero turns -0.0 into 0.0.
     texts = (f"{round(float(value), 6) + 0.0:.6f}" for value in values)
     return " ".join(text.rstrip("0").rstrip(".") for text in texts)
+
+
+#: Path of the grasps, made by `building/grasps.py`.
+GRASPS_FILE: Final = DATA_ROOT / "human_grasps.npz"
+
+#: YCB class names in the order of the file.
+GRASPED_OBJECTS: Final = tuple(CLASS_NAMES[number] for number in SCENE_CLASSES)
+
+#: Unit (rad) of the angles in the file, which are 16-bit integers.
+ANGLE_STEP: Final = 1e-4
+
+_STATISTICS = json.loads((DATA_ROOT / "human_grasp_statistics.json").read_text())
+
+#: Levels of `WRIST_DISTANCE_QUANTILES`.
+LEVELS: Final[tuple[float, ...]] = tuple(_STATISTICS["levels"])
+
+#: Quantiles of the distance (m) from the wrist to the object's origin in DexYCB, by YCB class name.
+WRIST_DISTANCE_QUANTILES: Final[MappingProxyType[str, tuple[float, ...]]] = MappingProxyType(
+    {name: tuple(values["wrist_distance_m"]) for name, values in _STATISTICS["classes"].items()}
+)
+
+
+@dataclass(frozen=True, eq=False)
+class HumanGrasps:
+    """Grasps of one object by one subject's hand, in the object's frame; all n are sorted by wrist distance.
+
+    Attributes:
+        object_from_base: (n, 7) poses of the hand's base, xyz (m) and quaternion xyzw.
+        finger_angles: (n, 45) finger joint angles (rad) of the closed hand.
+        open_angles: (n, 45) finger joint angles (rad) before closing, clear of the object.
+        wrist_distance: (n,) distances (m) from the palm link's origin to the object's origin.
+        touching: (n, 5) masks of the digits in contact: index, middle, little, ring finger, thumb.
+        overlap: (n,) largest penetrations (m) of hand and object.
+        side: Side of the hand.
+    """
+
+    object_from_base: FloatArray
+    finger_angles: FloatArray
+    open_angles: FloatArray
+    wrist_distance: FloatArray
+    touching: npt.NDArray[np.bool_]
+    overlap: FloatArray
+    side: Side
+
+    def __len__(self) -> int:
+        return len(self.wrist_distance)
+
+    @property
+    def finger_direction(self) -> FloatArray:
+        """Unit vectors (n, 3) along straight fingers of each grasp, from palm to fingertips, in the object's frame."""
+        along = [1.0 if self.side == "left" else -1.0, 0.0, 0.0]
+        return np.asarray(rotate_points(self.object_from_base[:, 3:], np.tile(along, (len(self), 1))))
+
+    def compute_hand_dof(self) -> FloatArray:
+        """Return the hand's joint positions (n, 51) in the grasps, in the object's frame.
+
+        These are the base's position (m), its intrinsic XYZ Euler angles and the finger joint angles (rad).
+        """
+        poses = self.object_from_base
+        matrices = rotate_points(poses[:, None, 3:], np.eye(3)).swapaxes(-1, -2)
+        return np.concatenate([poses[:, :3], euler_from_matrices(matrices), self.finger_angles], axis=-1)
+
+
+def load_human_grasps(object_name: str, subject: int, side: Side) -> HumanGrasps:
+    """Load the grasps of a YCB class, e.g. "025_mug", by the "left" or "right" hand of a synthetic subject, 1 to 10."""
+    data = load_shipped_arrays(GRASPS_FILE)
+    at = GRASPED_OBJECTS.index(object_name), SIDES.index(side), subject - 1
+    return HumanGrasps(
+        object_from_base=data["object_from_base"][at].astype(np.float64),
+        finger_angles=data["finger_angles"][at] * ANGLE_STEP,
+        open_angles=data["open_angles"][at] * ANGLE_STEP,
+        wrist_distance=data["wrist_distance"][at].astype(np.float64),
+        touching=data["touching"][at].copy(),
+        overlap=data["overlap"][at].astype(np.float64),
+        side=side,
+    )

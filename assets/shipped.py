@@ -21,6 +21,7 @@ import numpy.typing as npt
 from handover_marl.errors import check_name
 from handover_marl.execution.options import require_pybullet
 from handover_marl.execution.reading import read_arrays, report_damage
+from handover_marl.geometry.model_files.obj_files import format_convex_parts
 from handover_marl.geometry.model_files.urdf import render_urdf
 from handover_marl.geometry.ycb import CLASS_NAMES
 
@@ -76,14 +77,27 @@ def find_object_urdf(name: str) -> Path:
     return OBJECTS_ROOT / name / URDF_NAME
 
 
-@functools.cache
-def format_object_urdf(mass: float = MASS, friction: float = FRICTION) -> str:
-    """Return the text of an object's URDF (mass in kg): six base joints, then a link with the meshes of its folder."""
+def format_object_files(
+    colored: Iterable[tuple[str, Array, Faces]],
+    parts: Iterable[tuple[Array, Faces]],
+    mass: float = MASS,
+    friction: float = FRICTION,
+) -> dict[str, bytes | str]:
+    """Return the files of an object by name: meshes, colors and URDF (mass in kg), which has six base joints.
+
+    Meshes are given by vertices (v, 3) in m and faces (f, 3): those to draw, each after a color's name, and the convex
+    parts.
+    """
     names = {"visual": VISUAL_NAME, "collision": COLLISION_NAME}
-    return render_urdf(TEMPLATES_PACKAGE, "object.urdf", **names, mass=mass, friction=friction)
+    return {
+        COLLISION_NAME: format_convex_parts(parts),
+        VISUAL_NAME: _format_visual(colored),
+        **{name: (OBJECTS_ROOT / "025_mug" / name).read_bytes() for name in ("palette.png", "palette.mtl")},
+        URDF_NAME: render_urdf(TEMPLATES_PACKAGE, "object.urdf", **names, mass=mass, friction=friction),
+    }
 
 
-def format_visual(colored: Iterable[tuple[str, Array, Faces]]) -> str:
+def _format_visual(colored: Iterable[tuple[str, Array, Faces]]) -> str:
     """Return meshes (color name, vertices (v, 3) in m, faces (f, 3)) as one OBJ text, for a folder with the palette.
 
     PyBullet draws one texture per OBJ file and ignores vertex colors, so the texture coordinates of every face are
@@ -99,11 +113,6 @@ def format_visual(colored: Iterable[tuple[str, Array, Faces]]) -> str:
         lines += [f"f {a}/{texture} {b}/{texture} {c}/{texture}" for a, b, c in (faces + first).tolist()]
         first += len(vertices)
     return "\n".join(lines) + "\n"
-
-
-def read_palette_files() -> dict[str, bytes]:
-    """Return the contents, by file name, of the image and the material file of the colors that `format_visual` uses."""
-    return {name: (OBJECTS_ROOT / "025_mug" / name).read_bytes() for name in ("palette.png", "palette.mtl")}
 
 
 def find_bullet_data(feature: str, advice: str) -> Path:
@@ -144,17 +153,7 @@ def load_object_grasps(name: str) -> npt.NDArray[np.float64] | None:
 
 def load_validation_record(name: str) -> ValidationRecord | None:
     """Return the shipped `ValidationRecord` (n, 4) of an object's grasps by its name, or None if there is none."""
-    record = load_validation_records(VALIDATION_PATH).get(name)
-    return None if record is None else record.copy()
-
-
-def load_validation_records(path: Path) -> Mapping[str, ValidationRecord]:
-    """Load the grasp validation records of a file by the objects' names; return no records if the file is missing.
-
-    Raises:
-        DataFormatError: The file is damaged.
-    """
-    return load_shipped_arrays(path) if path.is_file() else {}
+    return load_shipped_arrays(VALIDATION_PATH).get(name)
 
 
 @functools.cache

@@ -18,14 +18,17 @@ import numpy.typing as npt
 from rich.progress import track
 from scipy.spatial.transform import Rotation
 
-from handover_marl.assets.hand_model import SIDES, SUBJECT_SIZES, HandSize, Side
-from handover_marl.assets.human_grasps import (
+from handover_marl.assets.hand_model import (
     ANGLE_STEP,
     GRASPED_OBJECTS,
     GRASPS_FILE,
     LEVELS,
+    SIDES,
+    SUBJECT_SIZES,
     WRIST_DISTANCE_QUANTILES,
+    HandSize,
     HumanGrasps,
+    Side,
 )
 from handover_marl.assets.shipped import (
     CLASSES_WITHOUT_GRASPS,
@@ -33,7 +36,7 @@ from handover_marl.assets.shipped import (
     VALIDATION_PATH,
     ValidationRecord,
     find_object_urdf,
-    load_validation_records,
+    load_shipped_arrays,
 )
 from handover_marl.datasets import open_dataset
 from handover_marl.datasets.generated.grasps import draw_human_grasps, draw_robot_grasps
@@ -166,13 +169,12 @@ def make_robot_grasps(
     make, held, n_simulated = functools.partial(_make_validation, urdf), list[Array](), 0
     while n_simulated < len(candidates) and len(held) < count:
         batch = candidates[n_simulated : n_simulated + max(_CHUNK, count - len(held))]
-        tasks = [range(start, min(start + _CHUNK, len(batch))) for start in range(0, len(batch), _CHUNK)]
-        chunks = [(number, batch[task]) for number, task in enumerate(tasks)]
-        results = dict[int, list[bool]]()
-        for (number, _), outcome in map_with_progress(make, chunks, "robot grasps", PoolConfig(workers), progress):
-            results[number] = outcome
-        good = np.concatenate([results[number] for number in range(len(chunks))])
-        held += list(batch[good])
+        chunks = [(start, batch[start : start + _CHUNK]) for start in range(0, len(batch), _CHUNK)]
+        results = {
+            start: outcome
+            for (start, _), outcome in map_with_progress(make, chunks, "robot grasps", PoolConfig(workers), progress)
+        }
+        held += list(batch[np.concatenate([results[start] for start, _ in chunks])])
         n_simulated += len(batch)
     return np.array(held[:count]).reshape(-1, 4, 4), n_simulated
 
@@ -197,7 +199,7 @@ def build_grasp_validations(
             kept.
         workers: Number of worker processes; default: one per core.
     """
-    records = {} if data_dir else dict(load_validation_records(out))
+    records = {} if data_dir or not out.exists() else dict(load_shipped_arrays(out))
     folders = (None, data_dir) if data_dir else (None,)
     # The second robot comes last and reuses results of the first.
     tasks = [(folder, robot, name) for folder in folders for robot in ROBOTS for name in CLASS_NAMES.values()]

@@ -114,9 +114,9 @@ class Scene:
 class Dataset(ABC):
     """Numbered handover scenes with their URDF models, robot grasps, setups and splits.
 
-    By default, scene numbers, setups, splits and object classes are HandoverSim's; a data set with others
-    overrides `n_scenes`, `setups`, `object_names` and `list_scenes`. By default, robot, objects and grasps are the
-    library's; a data set with others overrides `panda_urdf`, `find_object_urdf` and `load_grasps`.
+    By default, scene numbers, setups, splits and object classes are HandoverSim's; a data set with others sets
+    `n_scenes`, `setups` and `object_names`, and overrides `list_scenes`. By default, robot, objects and grasps are
+    the library's; a data set with others overrides `panda_urdf`, `find_object_urdf` and `load_grasps`.
 
     Args:
         robot: Variant of the Panda, one of `handover_marl.geometry.panda.ROBOTS`.
@@ -124,47 +124,27 @@ class Dataset(ABC):
     Attributes:
         name: Name of the data set in results; `open_dataset(name, source_folder)` opens it again.
         robot: Variant of the Panda.
+        source_folder: Folder of the data set, or None if its name suffices to open it again.
+        n_scenes: Number of scenes; they are numbered from 0.
+        setups: Names of the setups, the default first. `s0` to `s3` are the official setups, whose splits have
+            official sizes.
+        object_names: Class names of objects by class number: 1-21 the YCB classes, from 22 on others; can be pickled.
+        quick_validation: Whether grasps are validated with few simulations, because there are very many classes.
 
     Raises:
         UnknownNameError: `robot` is not in `ROBOTS`.
     """
 
     name: str
+    source_folder: Path | None = None
+    n_scenes: int = N_SCENES
+    setups: tuple[str, ...] = SETUPS
+    object_names: Mapping[int, str] = dict(CLASS_NAMES)
+    quick_validation: bool = False
 
     def __init__(self, robot: str = PANDA) -> None:
         check_name("robot", robot, ROBOTS)
         self.robot = robot
-
-    @property
-    def source_folder(self) -> Path | None:
-        """Folder with which `open_dataset(name, source_folder)` opens the data set again; None if the name suffices."""
-        return None
-
-    @property
-    def n_scenes(self) -> int:
-        """Number of scenes; they are numbered from 0."""
-        return N_SCENES
-
-    @property
-    def setups(self) -> tuple[str, ...]:
-        """Names of the setups, the default first.
-
-        The names `s0` to `s3` are reserved for the official setups, whose splits have official sizes.
-        """
-        return SETUPS
-
-    @property
-    def object_names(self) -> Mapping[int, str]:
-        """Class names of objects by class number: 1-21 the YCB classes, from 22 on others.
-
-        The mapping can be pickled and copied.
-        """
-        return dict(CLASS_NAMES)
-
-    @property
-    def quick_validation(self) -> bool:
-        """Whether grasps are validated with few simulations, because there are very many object classes."""
-        return False
 
     @property
     def panda_urdf(self) -> Path:

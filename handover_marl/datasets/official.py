@@ -10,6 +10,7 @@ import hashlib
 import io
 import json
 import os
+from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -63,28 +64,20 @@ def _read_scene_info(path: Path, scene_id: int) -> tuple[SceneInfo, list[int]]:
     return SceneInfo(scene_id, name, sides[0], tuple(ids), names), order
 
 
-def _read_scene_motion(path: Path, order: list[int]) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-    """Read a scene's motion at 1 kHz in the table's frame (m, rad): of n objects (T, n, 6), and of the hand (T, 51).
-
-    `order` are the indices in the file of the objects in the result, from `_read_scene_info`.
+def read_motion(path: Path, shapes: Mapping[str, tuple[int, ...]], advice: str) -> list[npt.NDArray[np.float32]]:
+    """Read a scene's motion at 1 kHz: arrays (T, *shape) of one length from an `.npz` file, by name and shape.
 
     Raises:
-        DataFormatError: The file is damaged or has another number of objects.
+        DataNotFoundError, DataFormatError: The file is missing or damaged, or an array has another shape; the error
+            ends with `advice`.
     """
-    with report_damage(path, "pose file", "it may be truncated, copy or expand it again"):
-        arrays = read_arrays(path, ("pose_y", "pose_m"), MAX_MOTION_BYTES)
-        objects, hand = (arrays[name].astype(np.float32) for name in ("pose_y", "pose_m"))
-    n_objects = len(order)
-    if objects.ndim != 3 or objects.shape[1:] != (n_objects, OBJECT_DOF) or len(objects) == 0:
-        raise DataFormatError(
-            f"{path}: pose_y has shape {objects.shape}, expected (T, {n_objects}, {OBJECT_DOF}) "
-            "for the objects that its meta file lists"
-        )
-    if hand.shape != (len(objects), 1, HAND_DOF):
-        raise DataFormatError(f"{path}: pose_m has shape {hand.shape}, expected ({len(objects)}, 1, {HAND_DOF})")
-    if not (np.isfinite(objects).all() and np.isfinite(hand).all()):
-        raise DataFormatError(f"{path}: the motion is not finite everywhere; copy the file again")
-    return objects[:, order], hand[:, 0].copy()
+    with report_damage(path, "pose file", advice):
+        arrays = [array.astype(np.float32) for array in read_arrays(path, tuple(shapes), MAX_MOTION_BYTES).values()]
+        n_frames = len(arrays[0])
+        for array, (name, shape) in zip(arrays, shapes.items(), strict=True):
+            if array.shape != (n_frames, *shape) or not n_frames or not np.isfinite(array).all():
+                raise ValueError(f"{name} must be finite numbers of shape {('T', *shape)}, got shape {array.shape}")
+    return arrays
 
 
 def check_scene_meta(path: Path, ids: list[int], grasped: int, sides: list[Any]) -> None:
@@ -124,10 +117,14 @@ def load_grasps(path: Path) -> npt.NDArray[np.float64]:
         content = content.item() if isinstance(content, np.ndarray) else content
         # Files of Python 3 have bytes as keys.
         by_name = {key.decode() if isinstance(key, bytes) else key: value for key, value in content.items()}
-        grasps: npt.NDArray[np.float64] = by_name["transforms"].astype(np.float64)
-        if grasps.ndim != 3 or grasps.shape[1:] != (4, 4) or not np.isfinite(grasps).all():
-            raise ValueError(f"'transforms' must be finite numbers of shape (n, 4, 4), got shape {grasps.shape}")
-    return grasps
+        return check_grasps(by_name["transforms"])
+
+
+def check_grasps(grasps: npt.NDArray[np.floating]) -> npt.NDArray[np.float64]:
+    """Return robot grasps as float64; raise `ValueError` if they are not finite numbers (n, 4, 4)."""
+    if grasps.ndim != 3 or grasps.shape[1:] != (4, 4) or not np.isfinite(grasps).all():
+        raise ValueError(f"grasps must be finite numbers of shape (n, 4, 4), got shape {grasps.shape}")
+    return grasps.astype(np.float64)
 
 
 class OfficialDataset(Dataset):
@@ -180,7 +177,9 @@ class OfficialDataset(Dataset):
         """Load a scene with its motion in the world frame."""
         self.check_scene_id(scene_id)
         info, order = self._info(scene_id)
-        object_dof, hand_dof = _read_scene_motion(require_file(self._pose_path(scene_id)), order)
+        shapes = {"pose_y": (len(order), OBJECT_DOF), "pose_m": (1, HAND_DOF)}
+        objects, hands = read_motion(self._pose_path(scene_id), shapes, "it may be truncated, copy or expand it again")
+        object_dof, hand_dof = objects[:, order], hands[:, 0]
         present = np.flatnonzero(hand_dof.any(axis=1))
         object_dof[:, :, 2] += TABLE_HEIGHT
         hand_dof[present, 2] += TABLE_HEIGHT

@@ -20,9 +20,6 @@ from handover_marl.geometry.panda import PANDA, PANDA_CAMERA
 PANDA_FILES = {PANDA: "franka_panda/panda_gripper.urdf", PANDA_CAMERA: "franka_panda/panda_gripper_hand_camera.urdf"}
 #: Text among the first bytes of a stand-in file.
 STAND_IN: Final = "handover_marl stand-in"
-#: Numbers (from 1) of human hand links with a reduced collision mesh: roots of middle, little and ring finger.
-REDUCED_COLLISION_LINKS = (5, 8, 11)
-N_HAND_MESHES = 16
 # Scenes run without textures, and without the camera's body, which HandoverSim's URDFs name at a
 # path that does not exist.
 _OPTIONAL_ENDINGS = (".mtl", ".png", "camera.stl", "camera.DAE")
@@ -60,34 +57,17 @@ def classify_file_origin(path: str, content: bytes) -> FileOrigin:
 
 
 def find_hand_origin(folder: Path) -> FileOrigin:
-    """Return ORIGINAL for the folder of a hand compiled from MANO by HandoverSim's rules, else STAND_IN.
+    """Return ORIGINAL for the folder of a hand compiled from MANO, else STAND_IN; UNKNOWN if it cannot be read.
 
-    A compiled hand has equal visual and collision meshes except for three links, and its meshes are open surfaces.
-    Hands made in another way have closed meshes. The origin is UNKNOWN if a mesh cannot be read.
+    The palm of a compiled hand is an open surface: some edges belong to one triangle. Other hands have closed meshes.
     """
     try:
-        visual, collision = (
-            [read_plain_file(folder / "meshes" / kind / f"mesh{link}.obj") for link in range(1, N_HAND_MESHES + 1)]
-            for kind in ("visual", "collision")
-        )
+        lines = read_plain_file(folder / "meshes" / "visual" / "mesh1.obj").splitlines()
     except (OSError, ValueError):
         return FileOrigin.UNKNOWN
-    is_compiled = _is_open(visual[0]) and all(
-        _list_vertices(touched) <= _list_vertices(seen) if link in REDUCED_COLLISION_LINKS else touched == seen
-        for link, (seen, touched) in enumerate(zip(visual, collision, strict=True), start=1)
-    )
-    return FileOrigin.ORIGINAL if is_compiled else FileOrigin.STAND_IN
-
-
-def _list_vertices(mesh: bytes) -> set[bytes]:
-    return {line for line in mesh.splitlines() if line.startswith(b"v ")}
-
-
-def _is_open(mesh: bytes) -> bool:
-    """Return whether a triangle mesh has an edge that is not shared by two faces."""
-    faces = [line.split()[1:] for line in mesh.splitlines() if line.startswith(b"f ")]
+    faces = [line.split()[1:] for line in lines if line.startswith(b"f ")]
     edges = Counter(frozenset(pair) for face in faces for pair in zip(face, [*face[1:], *face[:1]], strict=True))
-    return any(count != 2 for count in edges.values())
+    return FileOrigin.STAND_IN if all(count == 2 for count in edges.values()) else FileOrigin.ORIGINAL
 
 
 def find_origin(assets: Path, path: str) -> FileOrigin:
@@ -113,14 +93,16 @@ def describe_origins(kind: str, *origins: FileOrigin) -> list[str]:
     return [f"{kind} of unknown origin"] if FileOrigin.UNKNOWN in origins else []
 
 
-def require_file(path: Path) -> Path:
-    """Return a path if it is a readable plain file, else raise an error.
+_FILE_ADVICE = "list what is missing with handover-marl doctor, and copy or expand the HandoverSim data again"
+
+
+def require_file(path: Path, advice: str = _FILE_ADVICE) -> Path:
+    """Return a path if it is a readable plain file, else raise an error that ends with `advice`.
 
     Raises:
         DataNotFoundError: The file is missing.
         DataFormatError: The file cannot be read or is too large, or the path is a folder, pipe or device.
     """
-    advice = "list what is missing with handover-marl doctor, and copy or expand the HandoverSim data again"
     with report_damage(path, "file", advice):
         check_plain_file(path)
     return path

@@ -73,9 +73,16 @@ def open_dataset(dataset: str = AUTO, data_dir: str | os.PathLike[str] | None = 
     if kind == "dexycb":
         return _open_dexycb(given, robot)
     if kind == "own":
-        from handover_marl.datasets.custom.dataset import open_custom_dataset
+        from handover_marl.datasets.custom.dataset import CustomDataset
 
-        return open_custom_dataset(argument, given, robot)
+        folder = check_path("dataset" if given is None else "data_dir", given or argument).resolve()
+        dataset_in_folder = CustomDataset(folder, robot)
+        name = dataset_in_folder.content.name
+        if given is not None and argument != name:
+            raise OptionError(
+                f"data_dir must hold the scenes {argument!r}, got {folder} with {name!r}; pass their folder"
+            )
+        return dataset_in_folder
     if given is not None:
         raise OptionError(f"{kind} scenes need no data folder, but data_dir is {given}; leave one of them out")
     if kind == "generated":
@@ -131,12 +138,11 @@ def find_dataset_note(name: str) -> str:
 
 @dataclass(frozen=True)
 class DataLocation:
-    """Data folder as known to the machine that starts an evaluation.
+    """Data folder as known to the machine that starts an evaluation: absolute paths, "" for none.
 
     Attributes:
-        argument: Absolute path of the folder passed as an argument, or "" if none was.
-        environment: Absolute path in the environment variable `HANDOVER_MARL_DATA` of that machine,
-            or "" if it is not set or the data set is not DexYCB.
+        argument: Folder passed as an argument.
+        environment: Folder in `HANDOVER_MARL_DATA` of that machine, if the data set is DexYCB.
     """
 
     argument: str = ""

@@ -5,8 +5,7 @@ trials. Source: Chao et al., HandoverSim, ICRA 2022, Table I.
 """
 
 import operator
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Sequence
 from typing import Literal
 
 import numpy as np
@@ -28,50 +27,28 @@ SPLIT_SIZES = {
 #: Objects 0 (master chef can) and 15 (wood block), too large for the gripper and in no split.
 SKIPPED_OBJECTS = frozenset({0, 15})
 
-#: Trials with a prescribed hand: right in the first two, left in the others. Subjects chose the
-#: hand of the last trial themselves.
-PRESCRIBED_SIDE_TRIALS = range(4)
-
-_ALL_OBJECTS = frozenset(range(20))
-_LATER_SUBJECTS = frozenset(range(2, 10))
-
-
-@dataclass(frozen=True)
-class _Filter:
-    """Subjects, objects, trials and hand ("right" or "left", None for both) of the scenes of a split."""
-
-    subjects: frozenset[int] = frozenset(range(10))
-    objects: frozenset[int] = _ALL_OBJECTS
-    trials: frozenset[int] = frozenset(range(5))
-    side: str | None = None
-
-
-_FILTERS = {
-    ("s0", "train"): _Filter(trials=frozenset({0, 1, 2, 3})),
-    ("s0", "val"): _Filter(subjects=frozenset({0, 1}), trials=frozenset({4})),
-    ("s0", "test"): _Filter(subjects=_LATER_SUBJECTS, trials=frozenset({4})),
-    ("s1", "train"): _Filter(subjects=frozenset({0, 1, 2, 3, 4, 5, 9})),
-    ("s1", "val"): _Filter(subjects=frozenset({6})),
-    ("s1", "test"): _Filter(subjects=frozenset({7, 8})),
-    ("s2", "train"): _Filter(side="right"),
-    ("s2", "val"): _Filter(subjects=frozenset({0, 1}), side="left"),
-    ("s2", "test"): _Filter(subjects=_LATER_SUBJECTS, side="left"),
-    ("s3", "train"): _Filter(objects=_ALL_OBJECTS - {3, 7, 11, 15, 19}),
-    ("s3", "val"): _Filter(objects=frozenset({3, 19})),
-    ("s3", "test"): _Filter(objects=frozenset({7, 11, 15})),
+# Subjects, objects, trials and hands of the scenes of each split; all where it says none.
+_FILTERS: dict[tuple[str, str], dict[str, Collection[object]]] = {
+    ("s0", "train"): {"trial": range(4)},
+    ("s0", "val"): {"subject": range(2), "trial": [4]},
+    ("s0", "test"): {"subject": range(2, 10), "trial": [4]},
+    ("s1", "train"): {"subject": [0, 1, 2, 3, 4, 5, 9]},
+    ("s1", "val"): {"subject": [6]},
+    ("s1", "test"): {"subject": [7, 8]},
+    ("s2", "train"): {"side": ["right"]},
+    ("s2", "val"): {"subject": range(2), "side": ["left"]},
+    ("s2", "test"): {"subject": range(2, 10), "side": ["left"]},
+    ("s3", "train"): {"object": set(range(20)) - {3, 7, 11, 15, 19}},
+    ("s3", "val"): {"object": [3, 19]},
+    ("s3", "test"): {"object": [7, 11, 15]},
 }
 
 
 def list_split_scenes(setup: str, split: str, find_side: Callable[[int], str]) -> tuple[int, ...]:
-    """Return the scene numbers of a split in ascending order.
+    """Return the scene numbers of a split in ascending order; positions are the indices in official result files.
 
-    The position of a scene in this list is its index in the official result files.
-
-    Args:
-        setup: "s0" (no held-out factor), "s1" (unseen subjects), "s2" (unseen handedness) or "s3" (unseen objects).
-        split: "train", "val" or "test".
-        find_side: Function from a scene number to "right" or "left". The function is only called for trial 4 of setup
-            s2; the hand of the other trials is prescribed.
+    The setups are "s0" (no held-out factor), "s1" (unseen subjects), "s2" (unseen handedness), "s3" (unseen objects).
+    `find_side` returns the hand of a scene, "right" or "left"; it is only called for trial 4 of s2.
 
     Raises:
         UnknownNameError: The setup or the split does not exist.
@@ -79,27 +56,20 @@ def list_split_scenes(setup: str, split: str, find_side: Callable[[int], str]) -
     check_name("setup", setup, SETUPS)
     check_name("split", split, SPLITS)
     selected = _FILTERS[setup, split]
-    return tuple(scene for scene in range(N_SCENES) if _is_in_split(scene, selected, find_side))
+
+    def is_in_split(scene: int) -> bool:
+        facts: dict[str, object] = {"subject": scene // 100, "object": scene // 5 % 20, "trial": scene % 5}
+        is_chosen = all(facts[name] in selected[name] for name in facts.keys() & selected.keys())
+        if not is_chosen or facts["object"] in SKIPPED_OBJECTS:
+            return False
+        return "side" not in selected or (get_prescribed_side(scene) or find_side(scene)) in selected["side"]
+
+    return tuple(filter(is_in_split, range(N_SCENES)))
 
 
-def _is_in_split(scene: int, selected: _Filter, find_side: Callable[[int], str]) -> bool:
-    subject, obj, trial = scene // 100, scene // 5 % 20, scene % 5
-    if obj in SKIPPED_OBJECTS or subject not in selected.subjects:
-        return False
-    if obj not in selected.objects or trial not in selected.trials:
-        return False
-    if selected.side is None:
-        return True
-    side = get_prescribed_side(scene) if trial in PRESCRIBED_SIDE_TRIALS else find_side(scene)
-    return selected.side == side
-
-
-def get_prescribed_side(scene: int) -> Literal["left", "right"]:
-    """Return the hand, prescribed by DexYCB, that the giver of a scene uses.
-
-    Only trials in `PRESCRIBED_SIDE_TRIALS` have a prescribed hand; for other trials, the recording states the hand.
-    """
-    return "right" if scene % 5 < 2 else "left"
+def get_prescribed_side(scene: int) -> Literal["left", "right"] | None:
+    """Return the hand that DexYCB prescribes in a scene: right in trials 0 and 1, left in 2 and 3, None in trial 4."""
+    return None if scene % 5 == 4 else "right" if scene % 5 < 2 else "left"
 
 
 def choose_scenes(split_ids: tuple[int, ...], scenes: Iterable[int] | None, where: str) -> tuple[int, ...]:

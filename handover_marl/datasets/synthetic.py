@@ -15,7 +15,7 @@ from handover_marl.datasets.generated.scenes import (
     generate_handover,
     make_subject_giver,
 )
-from handover_marl.datasets.splits import PRESCRIBED_SIDE_TRIALS, SKIPPED_OBJECTS, get_prescribed_side
+from handover_marl.datasets.splits import SKIPPED_OBJECTS, get_prescribed_side
 from handover_marl.geometry.ycb import SCENE_CLASSES
 
 # Numbers of other objects on the table.
@@ -26,14 +26,7 @@ _N_LEFT_LAST_TRIALS = ((range(2), 19), (range(2, 10), 72))
 
 
 class SyntheticDataset(HandoverGenerator):
-    """1000 generated handovers with the library's own models; needs no data folder.
-
-    Args:
-        robot: Variant of the Panda, one of `handover_marl.geometry.panda.ROBOTS`.
-
-    Raises:
-        UnknownNameError: `robot` is not in `ROBOTS`.
-    """
+    """1000 generated handovers with the library's own models; arguments and errors are those of `Dataset`."""
 
     name = "synthetic"
     scene_format = "03d"
@@ -54,9 +47,7 @@ class SyntheticDataset(HandoverGenerator):
 
 def _find_side(scene_id: int) -> Side:
     """Return the giver's hand in a scene: prescribed in trials 0 to 3, drawn in trial 4."""
-    if scene_id % 5 in PRESCRIBED_SIDE_TRIALS:
-        return get_prescribed_side(scene_id)
-    return "left" if scene_id in _draw_left_handed_trials() else "right"
+    return get_prescribed_side(scene_id) or ("left" if scene_id in _draw_left_handed_trials() else "right")
 
 
 @cache

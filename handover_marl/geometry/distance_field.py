@@ -43,16 +43,13 @@ class DistanceField:
 
         Points outside the grid get `OUTSIDE_DISTANCE`, 1 m.
         """
-        return self._interpolate(points, with_gradients=False)[0]
+        return self.compute_distances_and_gradients(points, with_gradients=False)[0]
 
-    def compute_distances_and_gradients(self, points: Floats) -> tuple[Floats, Floats]:
+    def compute_distances_and_gradients(self, points: Floats, with_gradients: bool = True) -> tuple[Floats, Floats]:
         """Interpolate signed distances (n,) in m and gradients (3, n) at points (3, n) in m in the surface's frame.
 
         Distances are negative inside. Points outside the grid get `OUTSIDE_DISTANCE`, 1 m, and a gradient of zero.
         """
-        return self._interpolate(points, with_gradients=True)
-
-    def _interpolate(self, points: Floats, with_gradients: bool) -> tuple[Floats, Floats]:
         nodes = (points - self.lower.astype(np.float32)[:, None]) / np.float32(self.cell)
         highest = np.array(self.values.shape)[:, None] - 1
         inside = ((nodes >= 0.0) & (nodes < highest)).all(axis=0)

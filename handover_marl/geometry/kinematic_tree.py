@@ -24,7 +24,6 @@ Array = npt.NDArray[np.float64]
 
 #: Joint types of URDF files that turn about an axis.
 REVOLUTE = ("revolute", "continuous")
-_PRISMATIC = ("prismatic",)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +87,7 @@ class KinematicTree:
 
     def __init__(self, joints: Sequence[TreeJoint]) -> None:
         self.joints = tuple(joints)
-        is_moving = [joint.kind in (*REVOLUTE, *_PRISMATIC) for joint in joints]
+        is_moving = [joint.kind in (*REVOLUTE, "prismatic") for joint in joints]
         self.n_dof = sum(is_moving)
         self.moving_links: list[int] = np.flatnonzero(is_moving).tolist()
         # Fixed joints read the zero that is appended to the joint positions.
@@ -98,7 +97,7 @@ class KinematicTree:
         turns = np.array([joint.rotation for joint in joints]).reshape(-1, 3, 3)
         axes = np.array([joint.axis for joint in joints]).reshape(-1, 3)
         is_revolute = np.array([joint.kind in REVOLUTE for joint in joints], dtype=bool)[:, None]
-        is_prismatic = np.array([joint.kind in _PRISMATIC for joint in joints], dtype=bool)[:, None]
+        is_prismatic = np.array([joint.kind == "prismatic" for joint in joints], dtype=bool)[:, None]
         cross = np.cross(np.eye(3), (axes * is_revolute)[:, None, :])
         slides = (turns @ (axes * is_prismatic)[..., None])[..., 0]
         self.constants = TreeConstants(offsets, turns, cross, cross @ cross, slides)
@@ -215,7 +214,7 @@ def _read_joints(robot: ET.Element) -> list[TreeJoint]:
 
 def _read_joint(element: ET.Element, link: str, parent: int) -> TreeJoint:
     kind = element.attrib["type"]
-    if kind not in (*REVOLUTE, *_PRISMATIC, "fixed"):
+    if kind not in (*REVOLUTE, "prismatic", "fixed"):
         raise ValueError(f"a {kind} joint")
     axis = np.array(read_attribute(element, "axis", "xyz", "1 0 0").split(), dtype=np.float64)
     length = np.linalg.norm(axis)

@@ -35,7 +35,7 @@ def transform_points(a_from_b: AnyArray, points: AnyArray) -> AnyArray:
 def poses_from_matrices(matrices: npt.ArrayLike) -> Array:
     """Convert homogeneous matrices (n, 4, 4) to poses (n, 7), position and quaternion xyzw."""
     transforms = np.asarray(matrices)
-    return np.concatenate([transforms[:, :3, 3], quaternions_from_matrices(transforms[:, :3, :3])], axis=-1)
+    return poses_from_rotations(transforms[:, :3, 3], transforms[:, :3, :3])
 
 
 def poses_from_rotations(positions: npt.ArrayLike, rotations: npt.ArrayLike) -> Array:

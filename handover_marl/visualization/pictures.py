@@ -85,12 +85,8 @@ class FrameRecorder(EpisodeCallback):
 def prepare_output_path(out: str | os.PathLike[str], suffixes: Sequence[str]) -> Path:
     """Create the folder of an output file, check that it is writable, and return the file's path.
 
-    Args:
-        out: Path of the file; `~` is expanded.
-        suffixes: Allowed suffixes, such as ".png".
-
     Raises:
-        OptionError: The suffix is not allowed, or needs a library that is not installed.
+        OptionError: The suffix is none of `suffixes`, such as ".png", or needs a library that is not installed.
         ResultsError: The folder cannot be created or written to.
     """
     path = check_path("out", out)
@@ -167,11 +163,7 @@ def encode_video(frames: list[Picture], suffix: str) -> bytes:
 def draw_wrist_view(episode: Episode, camera: CameraConfig) -> Picture:
     """Return an RGB image (h, w, 3) uint8: an outside view above colours, depth and segmentation of the wrist camera.
 
-    The depth is brighter the nearer it is, and black from 2 m on.
-
-    Args:
-        episode: Episode, whose current state is drawn.
-        camera: Outside camera.
+    The depth is brighter the nearer it is, and black from 2 m on. `camera` is the outside camera.
     """
     frame = episode.capture_wrist_camera()
     depth = np.clip(255.0 * (1.0 - frame.depth / WRIST_CAMERA.far), 0.0, 255.0).astype(np.uint8)
@@ -220,14 +212,10 @@ def draw_heat_map(
     title: str,
     axis_labels: tuple[str, str] = ("giver", "receiver"),
 ) -> bytes:
-    """Draw success rates of pairs of policies as a heat map; return it as PNG.
+    """Draw success rates (0 to 1) of pairs of policies, by row and column, as a heat map; return it as PNG.
 
-    Args:
-        rates: Success rates (0 to 1), by row and column.
-        rows: Names of the rows; long names are wrapped and cut off.
-        columns: Names of the columns; long names are wrapped and cut off.
-        title: Title of the figure.
-        axis_labels: Titles of the vertical axis (rows) and of the horizontal axis (columns).
+    Long names of rows and columns are wrapped and cut off. `axis_labels` are the titles of the vertical axis (rows) and
+    of the horizontal axis (columns).
     """
     from matplotlib.figure import Figure
 

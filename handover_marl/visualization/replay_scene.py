@@ -72,21 +72,14 @@ class LinkTrajectory:
 
 
 def require_replay_extra() -> None:
-    """Check that the packages for replays are installed.
-
-    Raises:
-        OptionError: A package is missing.
-    """
+    """Check that the packages for replays are installed; raise `OptionError` if one is missing."""
     require_modules("a replay (.html)", "replay", "fast_simplification", "trimesh", "viser")
 
 
 def build_replay_page(log: ReplayRecorder, facts: str, camera: CameraConfig | None = None) -> str:
-    """Return a self-contained HTML page with the replay of an episode.
+    """Return a self-contained HTML page with the replay of an episode, and `facts` on data, policies and simulation.
 
-    Args:
-        log: Recorded episode.
-        facts: Text on data, policies and simulation that the page shows.
-        camera: Initial camera; default: in front of the robot.
+    The initial camera is in front of the robot, unless `camera` is given.
 
     Raises:
         OptionError: The extra `replay` is not installed.
@@ -177,37 +170,35 @@ def _run_server() -> Iterator[Any]:
 _Show: TypeAlias = Callable[[int, ReplayFrame], None]
 
 
-class _Element:
-    """Element of viser's scene, of which only changes are recorded, since they determine the size of the page.
+def _make_setter(handle: Any) -> Callable[..., None]:
+    """Return a function that sets properties of a viser element by name, but not to the values that they have.
 
-    Args:
-        handle: Viser's handle of the element.
+    Only changes are recorded then, since they determine the size of the page.
     """
+    shown = dict[str, Any]()
 
-    def __init__(self, handle: Any) -> None:
-        self._handle, self._shown = handle, dict[str, Any]()
-
-    def set(self, **values: Any) -> None:
-        """Set the given properties of the element, except for those that have these values already."""
+    def set_properties(**values: Any) -> None:
         for name, value in values.items():
-            if name not in self._shown or not np.array_equal(self._shown[name], value):
-                setattr(self._handle, name, value)
-                self._shown[name] = value
+            if name not in shown or not np.array_equal(shown[name], value):
+                setattr(handle, name, value)
+                shown[name] = value
+
+    return set_properties
 
 
 def _add_link(scene: "SceneApi", link: LinkTrajectory) -> _Show:
     color = _ROBOT_COLOR if link.label is SegmentationLabel.ROBOT else ImageColor.getrgb(LABEL_COLORS[link.label])[:3]
     is_flat = len(link.mesh.faces) < _FLAT_SHADING_FACES
     mesh = (f"/{link.name}", link.mesh.vertices, link.mesh.faces)
-    element = _Element(scene.add_mesh_simple(*mesh, color=color, flat_shading=is_flat, side="double"))
+    set_properties = _make_setter(scene.add_mesh_simple(*mesh, color=color, flat_shading=is_flat, side="double"))
     positions = _quantize(link.poses[:, :3], _POSITION_STEP)
     rotations = _quantize(np.roll(link.poses[:, 3:], 1, axis=1), _ROTATION_STEP)
 
     def show(index: int, frame: ReplayFrame) -> None:
         row = min(index, len(positions) - 1)
         is_touched = frame.touches_hand and link.label is SegmentationLabel.HAND
-        element.set(position=positions[row], wxyz=rotations[row], visible=bool(link.is_present[row]))
-        element.set(color=_HAND_CONTACT_COLOR if is_touched else color)
+        set_properties(position=positions[row], wxyz=rotations[row], visible=bool(link.is_present[row]))
+        set_properties(color=_HAND_CONTACT_COLOR if is_touched else color)
 
     return show
 
@@ -228,7 +219,7 @@ def _add_planned_path(scene: "SceneApi") -> _Show:
     """Add the hand link's planned path with the gripper at its end; return the function that shows it at a frame."""
     empty = np.zeros((1, 2, 3), dtype=np.float32)
     style: Any = {"thickness": 3.0, "thickness_units": "screen", "visible": False}
-    element = _Element(scene.add_line_segments("/planned_path", empty, _PLAN_COLOR, **style))
+    set_properties = _make_setter(scene.add_line_segments("/planned_path", empty, _PLAN_COLOR, **style))
 
     def show(index: int, frame: ReplayFrame) -> None:
         path = frame.planned_path
@@ -236,8 +227,8 @@ def _add_planned_path(scene: "SceneApi") -> _Show:
             outline = transform_points(path[-1], np.array(GRIPPER_OUTLINE))
             # Line segments (n - 1, 2, 3) between successive points (n, 3).
             lines = np.concatenate([np.stack([line[:-1], line[1:]], axis=1) for line in (path[:, :3], outline)])
-            element.set(points=_quantize(lines, _POSITION_STEP).astype(np.float32))
-        element.set(visible=path is not None)
+            set_properties(points=_quantize(lines, _POSITION_STEP).astype(np.float32))
+        set_properties(visible=path is not None)
 
     return show
 
@@ -265,12 +256,12 @@ def _add_observed_points(scene: "SceneApi", log: ReplayRecorder) -> _Show:
 def _add_points(scene: "SceneApi", name: str, color: Color, size: float) -> Callable[[Array], None]:
     """Add a point cloud; return a function that replaces its points (n, 3) (m), and hides it if there are none."""
     style: Any = {"point_size": size, "point_shape": "circle", "point_shading": "flat", "visible": False}
-    element = _Element(scene.add_point_cloud(name, np.zeros((1, 3), dtype=np.float16), color, **style))
+    set_properties = _make_setter(scene.add_point_cloud(name, np.zeros((1, 3), dtype=np.float16), color, **style))
 
     def show(points: Array) -> None:
         if len(points):
-            element.set(points=points.astype(np.float16))
-        element.set(visible=bool(len(points)))
+            set_properties(points=points.astype(np.float16))
+        set_properties(visible=bool(len(points)))
 
     return show
 
@@ -278,8 +269,10 @@ def _add_points(scene: "SceneApi", name: str, color: Color, size: float) -> Call
 def _add_status(scene: "SceneApi", log: ReplayRecorder) -> _Show:
     """Add text on time and state of the episode above the goal region; return the function that shows a frame's."""
     x, y, z = log.config.protocol.goal_center
-    element = _Element(scene.add_label("/status", "", position=(x, y, z + _LABEL_HEIGHT), anchor="bottom-center"))
-    return lambda index, frame: element.set(text=describe_frame(log, frame))
+    set_properties = _make_setter(
+        scene.add_label("/status", "", position=(x, y, z + _LABEL_HEIGHT), anchor="bottom-center")
+    )
+    return lambda index, frame: set_properties(text=describe_frame(log, frame))
 
 
 def _quantize(values: Array, step: float) -> Array:
@@ -297,10 +290,9 @@ def compute_link_trajectories(log: ReplayRecorder) -> Iterator[LinkTrajectory]:
     snapshots = [frame.snapshot for frame in log.frames]
     always = np.ones(len(snapshots), dtype=bool)
     table = np.array([*config.table_position, 0.0, 0.0, 0.0, 1.0])
-    label = SegmentationLabel.TABLE
-    yield from _compute_body("table", label, assets.table, np.zeros((1, 0)), always[:1], table)
-    label, base, joints = SegmentationLabel.ROBOT, get_robot_base_pose(log), _stack_robot(snapshots)
-    yield from _compute_body("robot", label, assets.panda, joints, always, base)
+    yield from _compute_body("table", SegmentationLabel.TABLE, assets.table, np.zeros((1, 0)), always[:1], table)
+    base = np.array([*config.panda.base_position, *config.panda.base_orientation])
+    yield from _compute_body("robot", SegmentationLabel.ROBOT, assets.panda, _stack_robot(snapshots), always, base)
     for number, urdf in enumerate(assets.objects):
         label = SegmentationLabel.OTHER_OBJECT if number else SegmentationLabel.TARGET
         joints = np.array([snapshot.objects[number] for snapshot in snapshots])
@@ -312,16 +304,11 @@ def compute_link_trajectories(log: ReplayRecorder) -> Iterator[LinkTrajectory]:
         yield from _compute_body("hand", SegmentationLabel.HAND, assets.hand, joints, is_present)
 
 
-def get_robot_base_pose(log: ReplayRecorder) -> Array:
-    """Return the world pose (7,) of the robot base in an episode, xyz (m) and quaternion xyzw."""
-    panda = log.config.physics.panda
-    return np.array([*panda.base_position, *panda.base_orientation])
-
-
 def compute_robot_link_poses(log: ReplayRecorder, snapshots: Sequence[JointSnapshot], names: Sequence[str]) -> Array:
     """Return the world poses (m, k, 7) of k links of the robot, xyz (m) and quaternions xyzw, in m snapshots."""
-    urdf = log.scene.assets.panda
-    origins, rotations = compute_link_trajectory(urdf, _stack_robot(snapshots), get_robot_base_pose(log))
+    urdf, panda = log.scene.assets.panda, log.config.physics.panda
+    base = [*panda.base_position, *panda.base_orientation]
+    origins, rotations = compute_link_trajectory(urdf, _stack_robot(snapshots), base)
     chosen = [read_tree(urdf).get_link(name) for name in names]
     return poses_from_rotations(origins[:, chosen], rotations[:, chosen])
 
@@ -350,15 +337,9 @@ def _compute_body(
 
 @functools.lru_cache(maxsize=64)
 def load_simplified_meshes(urdf: Path, modified_ns: int, max_faces: int = _MAX_FACES) -> tuple[VisualMesh, ...]:
-    """Return the visual meshes of a model's links with a reduced number of triangles.
+    """Return the visual meshes of a model's links with at most `max_faces` triangles each.
 
-    Args:
-        urdf: URDF file of the model.
-        modified_ns: Modification time of the file (ns); a file with another time is read again.
-        max_faces: Largest number of triangles of a link.
-
-    Raises:
-        SimulationError, DataFormatError: The model or one of its meshes cannot be read.
+    A file with another modification time (ns) is read again.
     """
     # Imported only here, because they are optional dependencies.
     import fast_simplification

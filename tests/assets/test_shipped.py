@@ -8,13 +8,18 @@ import numpy as np
 import pytest
 
 from handover_marl.assets.building.grasps import make_human_grasps
-from handover_marl.assets.hand_model import SIDES, SUBJECT_SIZES, SUBJECTS, Side, find_hand_urdf, make_hand_geometry
-from handover_marl.assets.human_grasps import (
+from handover_marl.assets.hand_model import (
     GRASPED_OBJECTS,
     GRASPS_FILE,
     LEVELS,
+    SIDES,
+    SUBJECT_SIZES,
+    SUBJECTS,
     WRIST_DISTANCE_QUANTILES,
+    Side,
+    find_hand_urdf,
     load_human_grasps,
+    make_hand_geometry,
 )
 from handover_marl.assets.shipped import (
     CAMERA_PANDA_URDF,
@@ -26,7 +31,7 @@ from handover_marl.assets.shipped import (
     VISUAL_NAME,
     find_object_urdf,
     load_object_grasps,
-    load_validation_records,
+    load_shipped_arrays,
 )
 from handover_marl.config import HandConfig, PandaConfig
 from handover_marl.datasets.generated.shapes import read_solid
@@ -188,7 +193,7 @@ def test_classes_without_grasps_and_bad_names_and_files(tmp_path: Path) -> None:
         load_object_grasps("025_cup")
     (tmp_path / "damaged.npz").write_bytes(b"PK no archive")
     with pytest.raises(DataFormatError, match="damaged"):
-        load_validation_records(tmp_path / "damaged.npz")
+        load_shipped_arrays(tmp_path / "damaged.npz")
 
 
 @pytest.mark.parametrize("name", GRASPED_OBJECTS)

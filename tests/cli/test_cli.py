@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from handover_marl.cli import main
 from handover_marl.cli.folders import check_data_folder, check_installation
@@ -17,6 +18,7 @@ from handover_marl.datasets.official_files import FileOrigin, find_hand_origin
 from handover_marl.evaluation import episode_runner
 from handover_marl.evaluation.config import EvaluationConfig
 from handover_marl.execution.options import is_installed
+from handover_marl.geometry.model_files.obj_files import format_obj
 from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES, SUBJECTS
 from handover_marl.policies.registry import import_reference
 from tests.datasets.dexycb.raw_files import made_up_hand, official, write
@@ -154,8 +156,8 @@ def test_hand_origin(tmp_path: Path, fake_data: Path) -> None:
     model = read_mano_model(tmp_path / "MANO_RIGHT.pkl", "right")
     folder = write_hand_assets(tmp_path, SUBJECTS[0], model, [0.1] * 10)
     assert find_hand_origin(folder) is FileOrigin.ORIGINAL
-    mesh = folder / "meshes/collision/mesh3.obj"
-    mesh.write_text(mesh.read_text() + "v 0 0 0\n")
+    closed = trimesh.creation.box((0.1, 0.1, 0.1))
+    (folder / "meshes/visual/mesh1.obj").write_text(format_obj(np.array(closed.vertices), np.array(closed.faces)))
     assert find_hand_origin(folder) is FileOrigin.STAND_IN
 
 

@@ -11,8 +11,13 @@ import pytest
 from handover_marl.datasets import OfficialDataset
 from handover_marl.datasets.dexycb.importer import import_dexycb
 from handover_marl.datasets.dexycb.mano import ManoModel, read_mano_model
-from handover_marl.datasets.dexycb.raw_files import SequenceFolder, find_sequences
-from handover_marl.datasets.dexycb.scenes import BetasBySubject, find_first_betas, import_scene
+from handover_marl.datasets.dexycb.scenes import (
+    BetasBySubject,
+    SequenceFolder,
+    find_first_betas,
+    find_sequences,
+    import_scene,
+)
 from handover_marl.datasets.official import CACHE_FOLDER
 from handover_marl.episode.episode import Episode
 from handover_marl.evaluation.benchmark import benchmark

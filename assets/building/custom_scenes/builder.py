@@ -4,7 +4,7 @@ import contextlib
 import os
 import shutil
 import tempfile
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import cast
@@ -31,11 +31,9 @@ from handover_marl.datasets.custom.dataset import (
     MOTION_FOLDER,
     OBJECT_FOLDER,
     CustomDataset,
-    check_hand,
-    check_objects,
-    check_start,
     get_motion_path,
 )
+from handover_marl.datasets.custom.motion_checks import check_motion, check_objects
 from handover_marl.datasets.custom.scene_file import (
     RESERVED_SETUPS,
     SCENE_FILE,
@@ -48,15 +46,10 @@ from handover_marl.datasets.custom.scene_file import (
 from handover_marl.datasets.generated.shapes import read_solid
 from handover_marl.datasets.splits import SPLITS
 from handover_marl.errors import DataFormatError, OptionError, ResultsError, check_name
-from handover_marl.execution.files import exclusive_lock, shorten_text, write_arrays
+from handover_marl.execution.files import exclusive_lock, write_arrays
 from handover_marl.execution.options import check_path
 from handover_marl.geometry.model_files.meshes import check_model, read_collision_mesh
 from handover_marl.geometry.ycb import CLASS_NAMES, LARGEST_YCB_CLASS
-
-#: Ways to divide scenes: by the object that is handed over, by the person, or at random.
-DIVISIONS = ("object", "person", "random")
-#: Hand of recordings without a choice: a man's at the 50th percentile of hand length.
-DEFAULT_HAND = 6
 
 
 class CustomSceneFolder:
@@ -82,7 +75,7 @@ class CustomSceneFolder:
                 raise OptionError(f"name must be {known!r}, the name of the scenes in {self.folder}, got {name!r}")
             self._name = known
             return
-        self._name = _check_name("name", self.folder.name if name is None else name)
+        self._name = check_file_name("name", self.folder.name if name is None else name)
         if self.folder.exists() and (not self.folder.is_dir() or any(self.folder.iterdir())):
             raise ResultsError(f"{self.folder} is not empty and has no {SCENE_FILE}; choose another folder")
 
@@ -127,7 +120,7 @@ class CustomSceneFolder:
             OptionError: The name belongs to a YCB class or to an object of the folder, or is no file name.
             DataNotFoundError, DataFormatError: The mesh file is missing, damaged or no solid body.
         """
-        text = _check_name("name", name, CLASS_NAMES.values())
+        text = check_file_name("name", name, CLASS_NAMES.values())
         config = config or MeshConfig()
         source = mesh if isinstance(mesh, trimesh.Trimesh) else check_path("mesh", mesh)
         if text in [item.name for item in self.content.objects]:
@@ -166,7 +159,7 @@ class CustomSceneFolder:
         *,
         recording: str | None = None,
         side: str = "right",
-        hand: int | None = DEFAULT_HAND,
+        hand: int | None = 6,
         others: Sequence[str] = (),
     ) -> CustomScene:
         """Add a scene: the recorded motion of an object, a wrist and other objects.
@@ -179,8 +172,8 @@ class CustomSceneFolder:
             config: Frames and units of the recording; default: `MotionConfig()`.
             recording: Name of the recording; default: the number of the scene.
             side: Hand of the person, "right" or "left".
-            hand: Number of the shipped hand, 1 to 10; None for a scene without a hand. Its fingers follow the
-                recording, or close on the object before it leaves its place.
+            hand: Number of the shipped hand, 1 to 10, by default a man's of mean length; None for a scene without a
+                hand. Its fingers follow the recording, or close on the object before it leaves its place.
             others: Classes of the other objects on the table, each with poses in the recording.
 
         Returns:
@@ -199,7 +192,7 @@ class CustomSceneFolder:
         check_name("side", side, SIDES)
         if hand is not None:
             check_name("hand", hand, SUBJECTS)
-        person = _check_name("subject", subject)
+        person = check_file_name("subject", subject)
         source = motion if isinstance(motion, Mapping) else check_path("motion", motion)
         table = read_motion_table(source, config or MotionConfig())
         missing, unknown = set(others) - set(table.bodies), set(table.bodies) - {OBJECT, *others}
@@ -211,7 +204,7 @@ class CustomSceneFolder:
         if hand is not None and table.wrist is None:
             raise DataFormatError("the motion has no wrist; add its poses, or pass hand=None")
         urdfs = [self._find_urdf(item) for item in names]
-        bodies = {body: read_collision_mesh(urdf)[0] for body, urdf in zip((OBJECT, *others), urdfs, strict=True)}
+        bodies = _read_bodies(names, urdfs)
         check_objects(make_trajectory(table, others, None, None)["object_dof"], bodies)
         model, fingers = None, table.fingers
         if hand is not None:
@@ -219,19 +212,15 @@ class CustomSceneFolder:
             if fingers is None:
                 table, fingers = close_hand(table, read_solid(urdfs[0]), hand, cast(Side, side))
         arrays = make_trajectory(table, others, model, fingers)
-        check_start(arrays["object_dof"], arrays["hand_dof"], arrays["hand_span"][0], bodies)
-        if model is not None:
-            frames = slice(arrays["hand_span"][0], arrays["hand_span"][1] + 1)
-            check_hand(arrays["hand_dof"][frames], arrays["object_dof"][frames])
-        if recording is not None:
-            _check_name("recording", recording)
+        first, last = (None, None) if model is None else arrays["hand_span"].tolist()
+        check_motion(arrays["object_dof"], arrays["hand_dof"], first, last, bodies)
         with self._change(MOTION_FOLDER) as content:
             number = len(content.scenes)
             name = f"{person}/{recording or f'{number:06d}'}"
             if name in [other.name for other in content.scenes]:
                 raise OptionError(f"recording must be new, got {name!r}, which {self.folder} has already; rename it")
-            write_arrays(get_motion_path(self.folder, number), arrays)
             scene = CustomScene(name, side, hand, names, table.repairs)
+            write_arrays(get_motion_path(self.folder, number), arrays)
             # The new scene is in no split until the splits are made again.
             replace(content, scenes=(*content.scenes, scene)).write(self.folder)
         return scene
@@ -256,7 +245,7 @@ class CustomSceneFolder:
             OptionError: The name is reserved, a share is out of range, or the train split would be empty.
             UnknownNameError: There is no such way to divide scenes, or no such object or person.
         """
-        _check_name("name", name, RESERVED_SETUPS)
+        check_file_name("name", name, RESERVED_SETUPS)
         if not self.folder.is_dir():
             raise ResultsError(f"{self.folder} does not exist; add an object or a motion first")
         with self._change() as content:
@@ -275,8 +264,9 @@ class CustomSceneFolder:
         for item in dataset.content.objects:
             check_model(dataset.find_object_urdf(item.name), OBJECT_DOF)
             dataset.load_grasps(item.name)
-        for scene_id in range(dataset.n_scenes):
-            dataset.load_scene(scene_id)
+        for scene in map(dataset.load_scene, range(dataset.n_scenes)):
+            bodies = _read_bodies(scene.info.object_names, scene.assets.objects)
+            check_motion(scene.object_dof, scene.hand_dof, scene.hand_first, scene.hand_last, bodies)
         return dataset
 
     def _find_urdf(self, name: str) -> Path:
@@ -294,24 +284,20 @@ class CustomSceneFolder:
             raise ResultsError(f"cannot write to {self.folder} ({error.strerror or error})") from error
 
 
-def _check_name(argument: str, value: object, reserved: Collection[str] = ()) -> str:
-    try:
-        return check_file_name(value, reserved)
-    except ValueError as error:
-        raise OptionError(f"{argument} {error}") from None
+def _read_bodies(names: Sequence[str], urdfs: Sequence[Path]) -> dict[str, npt.NDArray[np.float64]]:
+    """Return the vertices (v, 3) in m of objects by their names in recordings, from the URDFs of classes `names`."""
+    return {body: read_collision_mesh(urdf)[0] for body, urdf in zip((OBJECT, *names[1:]), urdfs, strict=True)}
 
 
 def _split_scenes(
     content: SceneFile, by: str, shares: Mapping[str, Iterable[str] | float], seed: int
 ) -> dict[str, tuple[int, ...]]:
-    check_name("by", by, DIVISIONS)
+    check_name("by", by, ("object", "person", "random"))
     keys = [
         {"object": scene.objects[0], "person": scene.subject, "random": str(number)}[by]
         for number, scene in enumerate(content.scenes)
     ]
     groups = list(dict.fromkeys(keys))
-    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
-        raise OptionError(f"seed must be a whole number from 0 on, got {shorten_text(seed)}; choose another one")
     drawn = [groups[index] for index in np.random.default_rng(seed).permutation(len(groups))]
     home: dict[str, str] = {}
     for split, chosen in shares.items():

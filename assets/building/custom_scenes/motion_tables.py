@@ -10,7 +10,7 @@ names `object`, `wrist` and those of the other objects' classes.
 """
 
 import csv
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from handover_marl.assets.hand_model import HandGeometry
 from handover_marl.config import HAND_DOF, TABLE_HEIGHT, TIME_STEP
-from handover_marl.datasets.custom.dataset import DURATION, MAX_FINGER_ANGLE
+from handover_marl.datasets.custom.motion_checks import DURATION, MAX_FINGER_ANGLE
 from handover_marl.datasets.generated.motion import resample_fingers, resample_poses
 from handover_marl.errors import DataFormatError, OptionError, check_name
 from handover_marl.execution.files import shorten_text
@@ -40,7 +40,6 @@ _MOTIVE_LENGTHS: Final = {"Meters": "m", "Centimeters": "cm", "Millimeters": "mm
 _TIMES: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _PARTS: Final = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _MAX_BYTES = 200_000_000
-_MAX_HEADER = 20_000  # characters of header lines
 _MAX_NORM_ERROR = 0.02  # of quaternions
 _ROUNDING = 1e-9  # of differences of times (s)
 
@@ -95,11 +94,6 @@ class MotionConfig:
         if not isinstance(self.max_gap, (int, float)) or not 0.0 <= self.max_gap <= 2.0:
             raise OptionError(f"max_gap must be a time from 0 to 2 s, got {self.max_gap!r}")
 
-    @property
-    def world_from_frame(self) -> Array:
-        """Pose (7,) of the recording's frame in the world: position (m) and quaternion xyzw."""
-        return np.array(_FRAMES[self.frame] if isinstance(self.frame, str) else self.frame, dtype=np.float64)
-
 
 @dataclass(frozen=True, eq=False)
 class MotionTable:
@@ -151,19 +145,13 @@ def _read_file(path: Path, config: MotionConfig) -> tuple[dict[str, Any], Motion
     # Columns of quaternions have names.
     config = replace(config, quaternion="xyzw")
     is_motive = text.startswith("Format Version,")
-    if not is_motive and any(mark in text[:_MAX_HEADER] for mark in ("Rigid Body", "Frame,Time (")):
-        raise DataFormatError(
-            f"{path}: looks like a file of Motive without its first line, 'Format Version,...'; export it with all "
-            "header lines"
-        )
     return _parse_motive(path, text, config) if is_motive else (_parse_csv(path, text), config)
 
 
 def _parse_motive(path: Path, text: str, config: MotionConfig) -> tuple[dict[str, Any], MotionConfig]:
     """Return times and rigid bodies' poses (T, 7) in a CSV file of Motive, formats 1.2 to 1.25, and its units."""
-    reader = csv.reader(text.splitlines())
-    lines = [(reader.line_num, row) for row in reader if any(row)]
-    rows = [row for _, row in lines]
+    lines = [line for line in text.splitlines() if line.strip(", ")]
+    rows = list(csv.reader(lines))
     settings = dict(zip(rows[0][::2], rows[0][1::2], strict=False))
     for key, valid in (("Rotation Type", ("Quaternion",)), ("Length Units", tuple(_MOTIVE_LENGTHS))):
         if settings.get(key) not in valid:
@@ -175,7 +163,7 @@ def _parse_motive(path: Path, text: str, config: MotionConfig) -> tuple[dict[str
         first = 1 + next(number for number, row in enumerate(rows) if row[0] == "Frame")
         # Lines of type, name and ID of the columns, in newer formats of the parent, then of the part and the axis.
         columns = [*zip(rows[1], rows[2], rows[first - 2], rows[first - 1], strict=True)]
-        values = _parse_rows(path, lines[first:], len(columns))
+        values = _parse_rows(path, lines[first:], ",")
         arrays: dict[str, Any] = {TIME: values[:, 1]}
         for name in dict.fromkeys(name for kind, name, *_ in columns if kind == "Rigid Body"):
             keys = [("Position", axis) for axis in "XYZ"] + [("Rotation", axis) for axis in "XYZW"]
@@ -195,19 +183,18 @@ def _parse_csv(path: Path, text: str) -> dict[str, Any]:
 
     Cells are separated by commas, or by semicolons or tabs, which allow decimal commas.
     """
-    lines = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip()]
-    lines = [(number, line) for number, line in lines if not line.startswith("#")]
-    if lines and lines[0][1].lower().startswith("sep="):  # a line that Excel writes
-        del lines[0]
+    lines = [line for line in text.splitlines() if line.strip() and not line.startswith(("#", "sep="))]
     if len(lines) < 2:
         raise DataFormatError(f"{path}: the file {'has no rows' if lines else 'is empty'}; export it again")
-    separator = max(",", ";", "\t", key=lines[0][1].count)
-    header = [cell.strip() for cell in lines[0][1].split(separator)]
-    rows = ((number, line.split(separator)) for number, line in lines[1:])
-    columns = dict(zip(header, _parse_rows(path, rows, len(header)).T, strict=True))
-    if len(columns) < len(header):
-        twice = next(cell for cell in header if header.count(cell) > 1)
-        raise DataFormatError(f"{path}: column {shorten_text(twice)!r} must be there once, got it twice; rename one")
+    separator = max(",", ";", "\t", key=lines[0].count)
+    header = [cell.strip() for cell in lines[0].split(separator)]
+    values = _parse_rows(path, lines[1:], separator)
+    columns = dict(zip(header, values.T, strict=False))
+    if not len(columns) == len(header) == values.shape[1]:
+        raise DataFormatError(
+            f"{path}: the header must have a different name for each of {values.shape[1]} columns, got "
+            f"{shorten_text(', '.join(header))}; correct it"
+        )
 
     def take(names: Sequence[str]) -> Array:
         missing = [name for name in names if name not in columns]
@@ -232,22 +219,16 @@ def _parse_csv(path: Path, text: str) -> dict[str, Any]:
     return arrays
 
 
-def _parse_rows(path: Path, rows: Iterable[tuple[int, Sequence[str]]], n_columns: int) -> Array:
-    """Return the numbers in rows of cells, given with their line numbers in the file; empty cells are NaN."""
-    values = list[list[float]]()
-    for line, cells in rows:
-        if len(cells) != n_columns:
-            raise DataFormatError(f"{path}: line {line} must have {n_columns} cells, got {len(cells)}; export it again")
-        values.append([])
-        for column, cell in enumerate(cells, start=1):
-            try:
-                values[-1].append(float(cell.strip().replace(",", ".") or "nan"))
-            except ValueError:
-                raise DataFormatError(
-                    f"{path}: line {line}, column {column} must be a number, got {shorten_text(repr(cell))}; correct "
-                    "it or leave it empty"
-                ) from None
-    return np.array(values).reshape(-1, n_columns)
+def _parse_rows(path: Path, lines: Sequence[str], separator: str) -> Array:
+    """Return the numbers in lines of cells; empty cells are NaN."""
+
+    def parse(cell: str) -> float:
+        return float(cell.replace(",", ".").strip() or "nan")
+
+    try:
+        return np.loadtxt(lines, delimiter=separator, converters=parse, comments=None, ndmin=2)
+    except ValueError as error:
+        raise DataFormatError(f"{path}: below the header, {error}; correct the cell or leave it empty") from None
 
 
 def _make_table(arrays: Mapping[str, Any], config: MotionConfig) -> MotionTable:
@@ -333,7 +314,8 @@ def _read_poses(key: str, poses: Array, time: Array, first: int, config: MotionC
     poses[:, 3:] /= norms[:, None]
     offset = {OBJECT: config.object_offset, WRIST: config.wrist_offset}.get(key)
     poses = poses if offset is None else np.asarray(compose(poses, np.array(offset)))
-    return np.asarray(compose(config.world_from_frame, poses))
+    frame = _FRAMES[config.frame] if isinstance(config.frame, str) else config.frame
+    return np.asarray(compose(np.array(frame, dtype=np.float64), poses))
 
 
 def _fill_gaps(key: str, poses: Array, time: Array, first: int, config: MotionConfig, repairs: list[str]) -> Array:

@@ -9,31 +9,22 @@ import numpy.typing as npt
 import trimesh
 from scipy.spatial import QhullError
 
-from handover_marl.assets.shipped import (
-    COLLISION_NAME,
-    FRICTION,
-    PALETTE,
-    URDF_NAME,
-    VISUAL_NAME,
-    format_object_urdf,
-    format_visual,
-    read_palette_files,
-)
-from handover_marl.datasets.custom.dataset import EXTENT, MAX_OFFSET
-from handover_marl.datasets.custom.scene_file import FRICTION as FRICTION_RANGE
-from handover_marl.datasets.custom.scene_file import MASS
+from handover_marl.assets.shipped import FRICTION, PALETTE, format_object_files
 from handover_marl.errors import DataFormatError, OptionError, check_name
+from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import require_modules
 from handover_marl.execution.reading import check_plain_file, report_damage
 from handover_marl.geometry.model_files.meshes import compute_convex_hull, decompose_convex
-from handover_marl.geometry.model_files.obj_files import format_convex_parts, read_obj
+from handover_marl.geometry.model_files.obj_files import read_obj
 
 Array = npt.NDArray[np.float64]
 
+# Smallest and largest mass (kg), largest extent of an object, and distance of its centre from its frame's origin (m).
+_MASS, _EXTENT, _MAX_OFFSET = (1e-3, 20.0), (0.005, 0.7), 0.7
 #: Metres in each unit of length.
 UNITS: Final = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
 _LIMITS: Final = {
-    **{"scale": (1e-6, 1e6), "mass": MASS, "density": (1.0, 30_000.0), "friction": FRICTION_RANGE},
+    **{"scale": (1e-6, 1e6), "mass": _MASS, "density": (1.0, 30_000.0), "friction": (0.0, 10.0)},
     "concavity": (0.01, 1.0),
 }
 _MAX_BYTES, _MAX_FACES = 1_000_000_000, 20_000
@@ -94,7 +85,7 @@ class ObjectMesh:
     repairs: tuple[str, ...]
 
 
-def make_object_mesh(source: "str | Path | trimesh.Trimesh", config: MeshConfig) -> ObjectMesh:
+def make_object_mesh(source: Path | trimesh.Trimesh, config: MeshConfig) -> ObjectMesh:
     """Read a mesh, from a file of any format that trimesh reads, repair it, and divide it into convex parts.
 
     Raises:
@@ -103,7 +94,7 @@ def make_object_mesh(source: "str | Path | trimesh.Trimesh", config: MeshConfig)
         OptionError: A package is missing.
     """
     require_modules("an own object", "assets,import", "coacd", "trimesh")
-    name = str(source) if isinstance(source, (str, Path)) else "the mesh"
+    name = str(source) if isinstance(source, Path) else "the mesh"
     mesh, repairs = _repair_mesh(_read_mesh(source), config, name)
     corners = decompose_convex(np.asarray(mesh.vertices), np.asarray(mesh.faces), config.concavity)
     if not corners:
@@ -111,9 +102,9 @@ def make_object_mesh(source: "str | Path | trimesh.Trimesh", config: MeshConfig)
     parts = tuple(trimesh.Trimesh(*compute_convex_hull(part), process=False) for part in corners)
     volume = sum(float(part.volume) for part in parts)
     mass = config.mass if config.mass is not None else (config.density or 300.0) * volume
-    if not MASS[0] <= mass <= MASS[1]:
+    if not _MASS[0] <= mass <= _MASS[1]:
         raise DataFormatError(
-            f"{name}: mass must be {MASS[0]:g} to {MASS[1]:g} kg, got {mass:.3g} kg from the volume {volume:.3g} "
+            f"{name}: mass must be {_MASS[0]:g} to {_MASS[1]:g} kg, got {mass:.3g} kg from the volume {volume:.3g} "
             "m^3; give mass or density"
         )
     return ObjectMesh(mesh, parts, mass, tuple(repairs))
@@ -121,18 +112,14 @@ def make_object_mesh(source: "str | Path | trimesh.Trimesh", config: MeshConfig)
 
 def write_object(folder: Path, item: ObjectMesh, config: MeshConfig) -> None:
     """Write the URDF and the meshes of an object into an existing folder."""
-    visual = format_visual([(config.color, *_canonicalize(item.mesh))])
-    (folder / VISUAL_NAME).write_text(visual, newline="\n")
-    (folder / COLLISION_NAME).write_text(format_convex_parts(map(_canonicalize, item.parts)), newline="\n")
-    for name, content in read_palette_files().items():
-        (folder / name).write_bytes(content)
-    (folder / URDF_NAME).write_text(format_object_urdf(item.mass, config.friction), newline="\n")
+    colored, parts = [(config.color, *_canonicalize(item.mesh))], map(_canonicalize, item.parts)
+    for name, content in format_object_files(colored, parts, item.mass, config.friction).items():
+        write_atomically(folder / name, content)
 
 
-def _read_mesh(source: "str | Path | trimesh.Trimesh") -> trimesh.Trimesh:
-    if isinstance(source, trimesh.Trimesh):
-        return source.copy()
-    path = Path(source).expanduser()
+def _read_mesh(path: Path | trimesh.Trimesh) -> trimesh.Trimesh:
+    if isinstance(path, trimesh.Trimesh):
+        return path.copy()
     with report_damage(path, "mesh", "give a mesh file that trimesh reads, such as STL, OBJ or PLY"):
         check_plain_file(path, _MAX_BYTES)
         if path.suffix.lower() == ".obj":
@@ -175,7 +162,7 @@ def _repair_mesh(mesh: trimesh.Trimesh, config: MeshConfig, name: str) -> tuple[
 
 
 def _check_size(mesh: trimesh.Trimesh, config: MeshConfig, name: str) -> None:
-    extents, (low, high) = np.asarray(mesh.extents), EXTENT
+    extents, (low, high) = np.asarray(mesh.extents), _EXTENT
     largest, distance = float(extents.max()), float(np.linalg.norm(mesh.bounds.mean(axis=0)))
     if not low <= largest <= high:
         metres = largest / UNITS[config.unit]
@@ -185,7 +172,7 @@ def _check_size(mesh: trimesh.Trimesh, config: MeshConfig, name: str) -> None:
             f"{name}: the largest extent must be {low} to {high} m, got {' x '.join(f'{size:.3g}' for size in extents)}"
             f" m in unit {config.unit!r}; {advice}"
         )
-    if distance > MAX_OFFSET:
+    if distance > _MAX_OFFSET:
         raise DataFormatError(
             f"{name}: the body must be near the origin of its frame, got a distance of {distance:.3g} m; move it"
         )

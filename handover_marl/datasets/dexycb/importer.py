@@ -3,24 +3,30 @@
 import functools
 import os
 from collections.abc import Callable, Iterable
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
 from handover_marl.datasets.dexycb.assets import (
+    ARCHIVE_NAME,
     find_table_folder,
+    install_third_party,
     write_hand_assets,
     write_object_assets,
+    write_stand_ins,
     write_table_assets,
 )
 from handover_marl.datasets.dexycb.mano import SIDES, ManoModel, read_mano_models
-from handover_marl.datasets.dexycb.raw_files import SequenceFolder, find_sequences
-from handover_marl.datasets.dexycb.scenes import BetasBySubject, find_first_betas, import_scene
-from handover_marl.datasets.dexycb.stand_ins import ARCHIVE_NAME, install_third_party, write_stand_ins
+from handover_marl.datasets.dexycb.scenes import (
+    BetasBySubject,
+    SequenceFolder,
+    find_first_betas,
+    find_sequences,
+    import_scene,
+)
 from handover_marl.datasets.official import CACHE_FOLDER
 from handover_marl.datasets.official_files import is_stand_in_file, list_required_files
 from handover_marl.datasets.splits import N_SCENES, choose_scenes
-from handover_marl.errors import DataNotFoundError, HandoverError, ResultsError
+from handover_marl.errors import HandoverError, ResultsError
 from handover_marl.execution.files import remove_stale_temporaries
 from handover_marl.execution.options import PoolConfig, check_path, resolve_worker_count
 from handover_marl.execution.pool import map_with_progress
@@ -86,7 +92,7 @@ def import_dexycb(
         dexycb: Folder that DexYCB's archives were expanded into.
         mano: Folder with `MANO_RIGHT.pkl` and `MANO_LEFT.pkl`, or with both in `models/`.
         out: Data folder to create or to complete, with `dex-ycb-cache/` and `assets/`.
-        third_party: HandoverSim's archive of meshes and grasps, or the folder that it was unpacked
+        third_party: HandoverSim's archive (tar) of meshes and grasps, or the folder that it was unpacked
             into. Without it, substitutes (stand-ins) are made from DexYCB's `models/`: convex parts
             by CoACD (extra `import`), the library's grasps and PyBullet's Panda.
         scenes: Scene numbers to import; default: all.
@@ -95,8 +101,8 @@ def import_dexycb(
 
     Raises:
         DataNotFoundError: A folder or one of MANO's files is missing.
-        UnsafeFileError: One of MANO's files may run code, or the archive has unsafe paths.
-        DataFormatError: One of MANO's files or the archive is damaged.
+        UnsafeFileError: One of MANO's files may run code.
+        DataFormatError: One of MANO's files or the archive is damaged, or the archive has unsafe paths.
         SceneError: A scene number does not exist, or there is none.
         OptionError: `workers` is less than one, a folder is not a path, or PyBullet, which has the table, is
             not installed.
@@ -107,7 +113,8 @@ def import_dexycb(
     raw, target = check_path("dexycb", dexycb), check_path("out", out)
     archive = None if third_party is None else check_path("third_party", third_party)
     sequences, missing = find_sequences(raw)
-    folder = _find_mano_folder(check_path("mano", mano))
+    folder = check_path("mano", mano)
+    folder = folder / "models" if (folder / "models").is_dir() else folder
     models = read_mano_models(folder)
     wanted = choose_scenes(tuple(range(N_SCENES)), scenes, "DexYCB")
     chosen = [sequence for sequence in sequences if sequence.scene_id in wanted]
@@ -121,17 +128,11 @@ def import_dexycb(
         return functools.partial(_import_sequence, read_mano_models(folder), betas, target)
 
     imported: list[int] = []
-    pool = PoolConfig(n_workers)
-    try:
-        with closing(map_with_progress(prepare, chosen, "scenes", pool, progress)) as results:
-            for sequence, fault in results:
-                if fault:
-                    faults.append(fault)
-                else:
-                    imported.append(sequence.scene_id)
-    finally:
-        # Temporary files of killed or interrupted workers.
-        remove_stale_temporaries(target / CACHE_FOLDER)
+    for sequence, fault in map_with_progress(prepare, chosen, "scenes", PoolConfig(n_workers), progress):
+        if fault:
+            faults.append(fault)
+        else:
+            imported.append(sequence.scene_id)
     if archive is None:
         faults += write_stand_ins(raw / "models", assets, n_workers, progress)
     required = list_required_files()
@@ -156,16 +157,6 @@ def _import_sequence(models: dict[str, ManoModel], betas: BetasBySubject, out: P
     except HandoverError as error:
         return f"scene {sequence.scene_id:03d} ({sequence.name}): {error}"
     return ""
-
-
-def _find_mano_folder(mano: Path) -> Path:
-    for folder in (mano, mano / "models"):
-        if (folder / "MANO_RIGHT.pkl").is_file():
-            return folder
-    raise DataNotFoundError(
-        f"{mano} holds no MANO_RIGHT.pkl, nor does its models/. Register at MANO's site, download mano_v1_2.zip and "
-        "give the folder that it was expanded into."
-    )
 
 
 def _write_models(betas: BetasBySubject, models: dict[str, ManoModel], assets: Path) -> list[str]:

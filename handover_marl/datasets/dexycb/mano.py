@@ -29,8 +29,8 @@ N_JOINTS, N_BETAS, N_ANGLES = 16, 10, 45
 #: little and ring finger and thumb.
 PARENTS = (-1, 0, 1, 2, 0, 4, 5, 0, 7, 8, 0, 10, 11, 0, 13, 14)
 
-_MAX_BYTES = 20_000_000  # official files have 3.8 MB
 N_VERTICES, N_FACES = 778, 1538
+# Shapes of the arrays in a file by their keys, in the order of the attributes of `ManoModel`.
 _SHAPES = {
     "v_template": (N_VERTICES, 3),
     "shapedirs": (N_VERTICES, 3, N_BETAS),
@@ -93,19 +93,9 @@ def read_mano_model(path: Path, side: str) -> ManoModel:
         UnsafeFileError: The file may run code.
         DataFormatError: The file is not a model, or an array has an invalid shape or type.
     """
-    with report_damage(path, "MANO model", "copy it again from mano_v1_2.zip, where it is in models/"):
-        content = load_restricted(read_plain_file(path, _MAX_BYTES), _ALLOWED)
-        arrays = {key: _extract_array(key, content[key]) for key in _SHAPES}
-    return ManoModel(
-        side=side,
-        v_template=arrays["v_template"],
-        shapedirs=arrays["shapedirs"],
-        j_regressor=arrays["J_regressor"],
-        weights=arrays["weights"],
-        faces=arrays["f"].astype(np.int64),
-        hands_components=arrays["hands_components"],
-        hands_mean=arrays["hands_mean"],
-    )
+    with report_damage(path, "MANO model", "copy it from mano_v1_2.zip, which MANO's site has for registered users"):
+        content = load_restricted(read_plain_file(path), _ALLOWED)
+        return ManoModel(side, *(_extract_array(key, content[key]) for key in _SHAPES))
 
 
 def read_mano_models(folder: Path) -> dict[str, ManoModel]:
@@ -114,13 +104,7 @@ def read_mano_models(folder: Path) -> dict[str, ManoModel]:
 
 
 class _Record:
-    """Object of chumpy or SciPy in a pickle, whose class is not imported.
-
-    Attributes:
-        state: Attributes of the object.
-    """
-
-    state: dict[str, Any]
+    """Object of chumpy or SciPy in a pickle, whose class is not imported."""
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.state = state
@@ -147,7 +131,7 @@ def _extract_array(key: str, value: Any) -> npt.NDArray[Any]:
         raise ValueError(f"{key} must be {'integers' if key == 'f' else 'float64'}, found {array.dtype}")
     if not np.isfinite(array).all():
         raise ValueError(f"{key} has numbers that are not finite")
-    own: npt.NDArray[Any] = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("="))
+    own: npt.NDArray[Any] = np.array(array, dtype=np.int64 if key == "f" else np.float64, order="C")
     own.flags.writeable = False
     return own
 

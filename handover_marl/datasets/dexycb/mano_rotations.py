@@ -142,29 +142,18 @@ def _map_libm(function: Callable[..., float], *columns: Float64) -> Float64:
     return np.array(list(map(function, *(column.tolist() for column in columns))), dtype=np.float64)
 
 
-@dataclass(frozen=True, eq=False)
 class TagFrame:
-    """Transform from DexYCB's world frame to the frame of the AprilTag on the table.
+    """Transform from DexYCB's world frame to the frame of the AprilTag on the table; `world_from_tag` is (3, 4) (m)."""
 
-    Attributes:
-        rotation: (3, 3) float32 `tag_from_world`.
-        translation: (3,) float32 `tag_from_world` (m).
-    """
-
-    rotation: Float32
-    translation: Float32
-
-    @classmethod
-    def from_extrinsics(cls, world_from_tag: npt.ArrayLike) -> "TagFrame":
-        """Return the transform to the tag's frame for the tag's pose (3, 4) [R | t] in the world (m)."""
+    def __init__(self, world_from_tag: npt.ArrayLike) -> None:
         pose = np.asarray(world_from_tag, dtype=np.float32)
-        rotation = np.ascontiguousarray(pose[:, :3].T)
+        self._rotation = np.ascontiguousarray(pose[:, :3].T)
         # The only sum that was not fused: the vector was too short for the fused kernels.
-        return cls(rotation, rotate_unfused(rotation, -pose[:, 3]))
+        self._translation = rotate_unfused(self._rotation, -pose[:, 3])
 
     def transform_points(self, points: Float32) -> Float32:
         """Transform points (n, 3) in m from DexYCB's world frame to the tag's frame, float32."""
-        rotated: Float32 = rotate_fused(self.rotation, points[:, :, None])[:, :, 0] + self.translation
+        rotated: Float32 = rotate_fused(self._rotation, points[:, :, None])[:, :, 0] + self._translation
         return rotated
 
     def transform_rotations(self, rotations: Rotation) -> Float32:
@@ -172,7 +161,7 @@ class TagFrame:
 
         As in HandoverSim, matrices are rounded to float32 before and after the product and not made orthogonal again.
         """
-        matrices = rotate_fused(self.rotation, rotations.as_matrix().astype(np.float32))
+        matrices = rotate_fused(self._rotation, rotations.as_matrix().astype(np.float32))
         return quaternions_from_matrices(matrices).astype(np.float32)
 
 

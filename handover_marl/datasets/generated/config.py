@@ -118,21 +118,12 @@ def parse_generated_config(argument: str) -> GeneratedConfig:
     values: dict[str, Any] = {}
     defaults = vars(GeneratedConfig())
     for entry in argument.split(","):
-        name, separator, text = (word.strip() for word in entry.partition("="))
-        if not separator or not text:
-            raise OptionError(
-                f"generated scenes must be described as n=1000,seed=7, got {entry[:80]!r}; "
-                "separate entries name=value by commas"
-            )
+        name, _, text = (word.strip() for word in entry.partition("="))
         check_name("parameter of generated scenes", name, defaults)
-        if name in values:
-            raise OptionError(f"parameter {name} of generated scenes must be given once, got it twice; leave one out")
-        kind = type(defaults[name])
         try:
-            values[name] = kind(text)
-        except ValueError:
-            wanted = "a whole number" if kind is int else "a number"
-            raise OptionError(f"{name} must be {wanted}, got {text[:80]!r}; write for example {name}=1") from None
+            values[name] = type(defaults[name])(text)
+        except ValueError as error:
+            raise OptionError(f"{name} must be a number, got {text[:80]!r} ({error}); write such as n=1000") from None
     family = values.pop("family", DEFAULT)
     check_name("family", family, FAMILIES)
     usual = FAMILY_DEFAULTS[family]

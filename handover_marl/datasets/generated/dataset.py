@@ -13,17 +13,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.assets.hand_model import HANDS_FOLDER, SUBJECTS, Side, format_hand_urdf, scale_hand
-from handover_marl.assets.human_grasps import LEVELS
-from handover_marl.assets.shipped import (
-    CLASSES_WITHOUT_GRASPS,
-    COLLISION_NAME,
-    URDF_NAME,
-    VISUAL_NAME,
-    format_object_urdf,
-    format_visual,
-    read_palette_files,
-)
+from handover_marl.assets.hand_model import HANDS_FOLDER, LEVELS, SUBJECTS, Side, format_hand_urdf, scale_hand
+from handover_marl.assets.shipped import CLASSES_WITHOUT_GRASPS, URDF_NAME, format_object_files
 from handover_marl.datasets.generated.config import (
     GENERATED,
     HARD,
@@ -36,15 +27,13 @@ from handover_marl.datasets.generated.config import (
 )
 from handover_marl.datasets.generated.grasps import draw_human_grasps, draw_robot_grasps
 from handover_marl.datasets.generated.hands import Person, draw_person
-from handover_marl.datasets.generated.motion import KeyframeMotion
-from handover_marl.datasets.generated.objects import ProceduralObject, draw_object
+from handover_marl.datasets.generated.motion import KeyframeMotion, add_post_arrival_motion, draw_far_positions
 from handover_marl.datasets.generated.placement import (
     ClutterItem,
     SimulatedGiver,
     hand_poses_from_grasps,
     make_ycb_clutter_item,
 )
-from handover_marl.datasets.generated.post_arrival_motion import add_post_arrival_motion, draw_far_positions
 from handover_marl.datasets.generated.random_stream import RandomStream, Seed, open_stream
 from handover_marl.datasets.generated.scenes import (
     GeneratedHandover,
@@ -52,12 +41,11 @@ from handover_marl.datasets.generated.scenes import (
     generate_handover,
     make_subject_giver,
 )
-from handover_marl.datasets.generated.shapes import Solid, make_surface
+from handover_marl.datasets.generated.shapes import ProceduralObject, Solid, draw_object, make_surface
 from handover_marl.datasets.splits import SPLITS
 from handover_marl.errors import DataNotFoundError, HandoverError, ResultsError, check_name
 from handover_marl.execution.files import write_atomically
 from handover_marl.geometry.array_cache import get_cache_folder
-from handover_marl.geometry.model_files.obj_files import format_convex_parts
 from handover_marl.geometry.panda import PANDA
 from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES
 
@@ -78,16 +66,11 @@ _FORMAT = 1
 
 
 class GeneratedDataset(HandoverGenerator):
-    """Scenes that are generated from a configuration; needs no data folder.
-
-    A scene is a pure function of its number and of the configuration without `n`.
+    """Scenes, each a pure function of its number and of a configuration without `n`; needs no data folder.
 
     Args:
         config: Configuration, or its text such as "n=100000,seed=7,family=hard".
-        robot: Variant of the Panda, one of `handover_marl.geometry.panda.ROBOTS`.
-
-    Attributes:
-        config: Configuration of the scenes.
+        robot: Variant of the Panda, as in `Dataset`.
 
     Raises:
         OptionError: The configuration's text is wrong, or a value is out of range.
@@ -95,33 +78,17 @@ class GeneratedDataset(HandoverGenerator):
     """
 
     scene_format = "08d"
+    # Scenes and procedural objects are split by a hash of their number.
+    setups = ("random",)
+    quick_validation = True
 
     def __init__(self, config: GeneratedConfig | str, robot: str = PANDA) -> None:
         super().__init__(robot)
         self.config = parse_generated_config(config) if isinstance(config, str) else config
         self.name = f"{GENERATED}:{self.config.argument}"
         self._numbers = {f"object_{number:05d}": number for number in range(self.config.objects)}
-        self._names = {**CLASS_NAMES, **{FIRST_CLASS + number: name for name, number in self._numbers.items()}}
-
-    @property
-    def n_scenes(self) -> int:
-        """Number of scenes; they are numbered from 0."""
-        return self.config.n
-
-    @property
-    def setups(self) -> tuple[str, ...]:
-        """Name of the only setup: scenes and procedural objects are split by a hash of their number."""
-        return ("random",)
-
-    @property
-    def object_names(self) -> Mapping[int, str]:
-        """Class names by class number: the YCB classes, then procedural objects such as "object_00042"."""
-        return self._names
-
-    @property
-    def quick_validation(self) -> bool:
-        """Whether grasps are validated with few simulations, because there are very many object classes."""
-        return True
+        self.n_scenes = self.config.n
+        self.object_names = {**CLASS_NAMES, **{FIRST_CLASS + number: name for name, number in self._numbers.items()}}
 
     def list_scenes(self, setup: str | None, split: str) -> tuple[int, ...]:
         """Return the scene numbers of a split ("train", "val" or "test") of the only setup in ascending order."""
@@ -268,12 +235,8 @@ def _write_object_model(name: str, item: ProceduralObject) -> Path:
 
     def make_files() -> dict[str, bytes | str]:
         surfaces = [(part.color, make_surface(part)) for part in item.parts]
-        return {
-            COLLISION_NAME: format_convex_parts((surface.vertices, surface.faces) for _, surface in surfaces),
-            VISUAL_NAME: format_visual((color, surface.vertices, surface.faces) for color, surface in surfaces),
-            **read_palette_files(),
-            URDF_NAME: format_object_urdf(),
-        }
+        colored = [(color, surface.vertices, surface.faces) for color, surface in surfaces]
+        return format_object_files(colored, [(vertices, faces) for _, vertices, faces in colored])
 
     return _write_folder(repr(item), name, URDF_NAME, make_files)
 

@@ -14,8 +14,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 from scipy.special import ndtri
 
-from handover_marl.assets.hand_model import HandSize, Side
-from handover_marl.assets.human_grasps import HumanGrasps
+from handover_marl.assets.hand_model import HandSize, HumanGrasps, Side
 from handover_marl.datasets.generated.hands import (
     LIMITS,
     N_STEPS,
@@ -67,17 +66,9 @@ def draw_human_grasps(
 ) -> HumanGrasps | None:
     """Draw grasps of an object by one human hand, sorted by wrist distance; None if none is found.
 
-    Args:
-        random: Stream of random numbers.
-        solid: Object to grasp.
-        up_axes: Weights of the object's axes that point up on a table: +x, -x, +y, -y, +z, -z. In every grasp the hand
-            is clear of the table for one of the axes with a weight.
-        size: Size of the hand.
-        side: Side of the hand, "right" or "left".
-        n_pairs: Number of surface points from which grasps are tried in one round.
-        n_closed: Largest number of hands whose fingers are closed in one round.
-        n_grasps: Number of grasps at which the search ends.
-        n_rounds: Largest number of rounds.
+    In every grasp the hand is clear of the table for one of the object's axes +x, -x, +y, -y, +z, -z with a weight in
+    `up_axes`. In each of up to `n_rounds` rounds, grasps are tried from `n_pairs` surface points, and the fingers of up
+    to `n_closed` hands are closed, until `n_grasps` are found.
     """
     templates = make_hand_templates(size)
     target = solid.mirror() if side == "left" else solid
@@ -148,10 +139,8 @@ def _sample_open_hands(
 
 def _find_lowest_points(templates: HandTemplates, palms: Palms, rows: Ints, directions: Array) -> Array:
     """Return the lowest coordinates (n, k) in m of open hands with templates `rows` (n,) along directions (k, 3)."""
-    if not len(rows):
-        return np.zeros((0, len(directions)))
     palm = np.broadcast_to(templates.palm[0], (len(rows), *templates.palm[0].shape))
-    centers = np.concatenate([palm, templates.path[rows, 0].reshape(len(rows), -1, 3)], axis=1)
+    centers = np.concatenate([palm, templates.path[rows, 0].reshape(len(rows), templates.radii.size, 3)], axis=1)
     return np.asarray((palms.transform(centers) @ directions.T).min(axis=1))
 
 
@@ -187,7 +176,7 @@ def close_fingers(solid: Solid, templates: HandTemplates, palms: Palms, rows: In
     n = len(rows)
     points = palms.transform(templates.path[rows])
     gaps = (solid.compute_distances(points) - templates.radii).reshape(n, N_STEPS, 5, 3, 3).min(axis=4)
-    steps, bends = templates.bends[rows], np.empty((n, 5, 3))
+    steps = templates.bends[rows]
     shares, touches = _find_contacts(gaps.min(axis=3), SKIN_YIELD)
     below = np.floor(shares).astype(np.int64)
     above = np.minimum(below + 1, N_STEPS - 1)
@@ -208,8 +197,6 @@ def _close_end_joints(
     """Return flexions `bends` (n, 5, 3) (rad) with the joints beyond the touching `phalanx` (n, 5) closed further."""
     n, count = len(rows), _N_DISTAL_STEPS
     beyond = np.arange(3) > phalanx[..., None]
-    if not beyond.any():
-        return bends
     steps = np.arange(count)[:, None, None] * 1.6 * STEP_ANGLES * beyond[:, None]
     trial = np.minimum(bends[:, None] + steps, np.maximum(LIMITS, bends[:, None]))
     centers = place_digits(templates.model, templates.openings.posture[rows], trial)

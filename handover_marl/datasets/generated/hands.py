@@ -5,6 +5,7 @@ phalanges while the fingers close freely are computed once for each hand.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final
@@ -47,6 +48,8 @@ _MIN_WIDTH: Final = 0.012
 # Extreme directions of the thumb's first bone in the palm's frame: forward beside the index finger,
 # abducted in the plane of the palm, and in front of the palm opposite the fingers.
 _THUMB_DIRECTIONS = np.array([[-0.80, -0.40, 0.44], [-0.58, -0.24, 0.78], [-0.42, -0.87, 0.25]])
+# Capsules that approximate the end of the reference hand's forearm, in the palm's frame.
+_FOREARM = [(np.array([0.075, 0.0, z]), np.array([0.0, 0.0, z * 8.0 / 9.0]), 0.024, 0.0165) for z in (0.009, -0.009)]
 # Point (m) that the reference hand's thumb flexes towards, below the middle finger's first bone.
 _THUMB_TARGET = np.array([-0.100, -0.030, 0.002])
 
@@ -138,11 +141,20 @@ class Posture(ArrayBatch):
         return angles.reshape(-1, 45)
 
 
-def make_palm_capsules(hand: HandGeometry) -> list[Capsule]:
-    """Return capsules that approximate a right palm, in its frame: metacarpals, balls of thumb and little finger."""
+def _place_spheres(hand: HandGeometry, capsules: Sequence[Capsule], count: int) -> Spheres:
+    """Return spheres in tapered capsules of the reference hand, `count` in each, scaled to another right hand."""
+    t, across = np.linspace(0.0, 1.0, count)[:, None], float(hand.scale[1])
+    scaled = [(a * hand.scale, b * hand.scale, r0 * across, r1 * across) for a, b, r0, r1 in capsules]
+    centers = [start + t * (end - start) for start, end, _, _ in scaled]
+    radii = [first + t[:, 0] * (last - first) for _, _, first, last in scaled]
+    return np.vstack(centers), np.concatenate(radii)
+
+
+def _list_palm_capsules(hand: HandGeometry) -> list[Capsule]:
+    """Return capsules, in a palm's frame, that approximate it: metacarpals, balls of thumb and little finger."""
     index, middle, little, ring, thumb = hand.joint_origins[::3] / hand.scale
     drop, wrist = np.array([0.0, -0.004, 0.0]), 0.0155
-    capsules = [
+    return [
         (np.array([-0.012, -0.002, 0.013]), index + drop, wrist, 0.0128),
         (np.array([-0.012, -0.002, 0.005]), middle + drop, wrist, 0.0130),
         (np.array([-0.012, -0.002, -0.005]), ring + drop, wrist, 0.0125),
@@ -150,27 +162,6 @@ def make_palm_capsules(hand: HandGeometry) -> list[Capsule]:
         (thumb + np.array([0.004, 0.0, -0.006]), thumb + np.array([-0.024, -0.006, 0.004]), 0.0150, 0.0125),
         (np.array([-0.022, -0.008, -0.019]), little + np.array([0.022, -0.006, 0.002]), 0.0135, 0.0115),
     ]
-    return _scale_capsules(hand, capsules)
-
-
-def make_forearm_capsules(hand: HandGeometry) -> list[Capsule]:
-    """Return capsules, in the palm's frame, that approximate the end of the forearm."""
-    return _scale_capsules(
-        hand, [(np.array([0.075, 0.0, z]), np.array([0.0, 0.0, z * 8.0 / 9.0]), 0.024, 0.0165) for z in (0.009, -0.009)]
-    )
-
-
-def _scale_capsules(hand: HandGeometry, capsules: list[Capsule]) -> list[Capsule]:
-    across = float(hand.scale[1])
-    return [(a * hand.scale, b * hand.scale, r0 * across, r1 * across) for a, b, r0, r1 in capsules]
-
-
-def _spheres_from_capsules(capsules: list[Capsule], count: int) -> Spheres:
-    """Return spheres spaced evenly in capsules, `count` in each."""
-    t = np.linspace(0.0, 1.0, count)[:, None]
-    centers = [start + t * (end - start) for start, end, _, _ in capsules]
-    radii = [first + t[:, 0] * (last - first) for _, _, first, last in capsules]
-    return np.vstack(centers), np.concatenate(radii)
 
 
 def place_digits(model: HandGeometry, posture: Posture, bends: Array) -> Array:
@@ -291,8 +282,8 @@ def make_hand_templates(size: HandSize, count: int = _N_TEMPLATES) -> HandTempla
     first, last = model.radii[:, :1], model.radii[:, 1:]
     return HandTemplates(
         model=model,
-        palm=_spheres_from_capsules(make_palm_capsules(model), 6),
-        forearm=_spheres_from_capsules(make_forearm_capsules(model), 4),
+        palm=_place_spheres(model, _list_palm_capsules(model), 6),
+        forearm=_place_spheres(model, _FOREARM, 4),
         openings=openings,
         bends=bends,
         path=place_digits(model, openings.posture, bends).astype(np.float32),

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, Slerp
 
+from handover_marl import config
 from handover_marl.config import HAND_DOF, TIME_STEP
 from handover_marl.datasets.dataset import TABLE_HEIGHT
 from handover_marl.datasets.generated.placement import (
@@ -26,6 +27,7 @@ from handover_marl.datasets.generated.placement import (
     SimulatedGiver,
 )
 from handover_marl.datasets.generated.random_stream import FRAME_COUNTS, MIRROR_X, RandomStream, Seed, open_stream
+from handover_marl.geometry.panda import SHOULDER_HEIGHT
 from handover_marl.geometry.rotations import multiply_quaternions
 
 Array = npt.NDArray[np.float64]
@@ -42,10 +44,24 @@ _MIN_REACH_LENGTH = 0.10  # m
 _MIN_LIFT_TIME = 0.4  # s
 _MAX_REACH_ROTATION = np.radians(60.0)
 _SAMPLES = np.linspace(0.0, 1.0, 101)
-_LENGTH_TOLERANCE = 1e-11  # m
 # Spacing (rad or m) of a grid that values are rounded to. It hides the last bits of sines and splines, which differ
 # between machines and versions of NumPy. It is a power of two, since decimal constants in the inputs would give ties.
 _GRID = 2.0**-23
+# Constants of scenes of the family `hard`. Duration of the motion (s).
+_DURATION = 8.0
+# Smallest and largest distance of the handover position from the robot's shoulder, and smallest height above the
+#: table (m).
+_REACH, _MIN_HEIGHT = (0.70, 0.82), 0.12
+#: Largest speed of the object's origin (m/s).
+MAX_SPEED = 0.30
+# Largest angle between the robot's forward direction and the handover position, and its elevation from the shoulder.
+_MAX_AZIMUTH, _ELEVATION = 0.6, (-0.25, 0.25)  # rad
+# Smallest and largest number of waypoints of the curve.
+_N_WAYPOINTS = (3, 6)
+# Largest distance of a waypoint from the handover position along x, y and z (m), and component of its rotation (rad).
+_EXTENT, _MAX_TURN = (0.12, 0.08, 0.10), 0.9
+# Smallest and largest value of a scene's peak angular speed (rad/s).
+_TURN_SPEED = (np.radians(30.0), np.radians(90.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,8 +133,7 @@ def minimum_jerk(time: npt.ArrayLike) -> Array:
 
 def _draw_timing(random: RandomStream, speed: float, entry_distance: float, lift_time: float) -> HandoverTiming:
     """Draw a timing with a wrist's peak speed (m/s), a reach of `entry_distance` (m) and a lift of `lift_time` (s)."""
-    counts = FRAME_COUNTS
-    n_frames = list(counts)[random.weighted_index(list(counts.values()))]
+    n_frames = list(FRAME_COUNTS)[random.weighted_index(list(FRAME_COUNTS.values()))]
     onset = round(random.draw_quantile("hand_onset"))
     onset_share = random.uniform(0.05, 0.40)
     close = _CLOSING_FRAMES[0] + random.integer(_CLOSING_FRAMES[1] - _CLOSING_FRAMES[0])
@@ -212,7 +227,10 @@ def _add_hand_motion(
     base_rotation = Rotation.from_quat(multiply_quaternions(rotation.as_quat(), object_from_hand.as_quat()))
     wrist = position + rotation.apply(giver.keypoints[row, 0])
     reaching = np.arange(timing.onset, timing.grasp)
-    progress = _compute_reach_progress(timing, reaching)
+    # Progress along the visible part of the reach, 0 to 1.
+    time = (reaching - timing.onset) / (timing.grasp - timing.onset)
+    shares = minimum_jerk(timing.onset_share + (1.0 - timing.onset_share) * time)
+    progress = (shares - minimum_jerk(timing.onset_share)) / (1.0 - minimum_jerk(timing.onset_share))
     start_rotation = Rotation.from_matrix(placement.start[1])
     finger_direction = start_rotation.apply(grasps.finger_direction[row])
     wrist[reaching] = _compute_reach_path(entry, wrist[timing.grasp], finger_direction, timing.reach, progress)
@@ -225,13 +243,6 @@ def _add_hand_motion(
     base = wrist - base_rotation.apply(giver.hand.palm_offset)
     base[reaching, 2] += _compute_height_offsets(giver, base, base_rotation, fingers, reaching)
     return KeyframeMotion(position, rotation, base, base_rotation, fingers, timing.onset)
-
-
-def _compute_reach_progress(timing: HandoverTiming, frames: npt.NDArray[np.int64]) -> Array:
-    """Return the progress (n,), 0 to 1, along the visible part of the reach in keyframes with numbers (n,)."""
-    time = timing.onset_share + (1.0 - timing.onset_share) * (frames - timing.onset) / (timing.grasp - timing.onset)
-    start = float(minimum_jerk(timing.onset_share))
-    return np.asarray((minimum_jerk(time) - start) / (1.0 - start))
 
 
 def _compute_reach_path(entry: Array, end: Array, finger_direction: Array, length: float, progress: Array) -> Array:
@@ -247,19 +258,11 @@ def _compute_reach_path(entry: Array, end: Array, finger_direction: Array, lengt
         middle = end - finger_direction * bend + np.array([0.0, 0.0, 0.25 * bend])
         return _bezier(_SAMPLES, end + direction * distance, middle, end)
 
-    # Squared lengths of the pieces are polynomials of the distance, which is faster than sampling the curve.
-    fixed, moved = np.diff(curve(0.0), axis=0), np.diff((1.0 - _SAMPLES) ** 2)[:, None] * direction
-    constant, linear, square = (fixed * fixed).sum(axis=1), 2.0 * (fixed @ direction), (moved * moved).sum(axis=1)
-    linear *= np.diff((1.0 - _SAMPLES) ** 2)
     low, high = 0.0, 2.0 * length
     for _ in range(40):
-        middle_distance = 0.5 * (low + high)
-        pieces = np.maximum(constant + middle_distance * (linear + middle_distance * square), 0.0)
-        excess = float(np.sqrt(pieces).sum()) - length
-        if abs(excess) < _LENGTH_TOLERANCE:
-            excess = float(_cumulative_lengths(curve(middle_distance))[-1]) - length
-        too_long = excess > 0.0
-        low, high = (low, middle_distance) if too_long else (middle_distance, high)
+        distance = 0.5 * (low + high)
+        too_long = _cumulative_lengths(curve(distance))[-1] > length
+        low, high = (low, distance) if too_long else (distance, high)
     points = curve(low)
     lengths = _cumulative_lengths(points)
     return np.stack([np.interp(progress * lengths[-1], lengths, column) for column in points.T], axis=1)
@@ -290,11 +293,79 @@ def _compute_height_offsets(
     giver: SimulatedGiver, base: Array, rotation: Rotation, fingers: Array, frames: npt.NDArray[np.int64]
 ) -> Array:
     """Return heights (n,) in m by which to raise the hand in the keyframes `frames` (n,) to be clear of the table."""
-    if len(frames) == 0:
-        return np.zeros(0)
     dof = np.concatenate([base[frames], rotation[frames].as_euler("XYZ"), fingers[frames]], axis=1)
     lowest = giver.hand.compute_keypoints(dof)[..., 2].min(axis=1)
     return np.asarray(np.maximum(0.0, JOINT_CLEARANCE - lowest), dtype=np.float64)
+
+
+def draw_far_positions(random: RandomStream) -> tuple[Array, Array]:
+    """Draw start x, y (2,) and handover position (3,) at the edge of the robot's reach, in the table's frame (m)."""
+    start = np.array([random.draw_quantile("start_x"), random.draw_quantile("start_y")])
+    distance, azimuth = random.uniform(*_REACH), random.uniform(-_MAX_AZIMUTH, _MAX_AZIMUTH)
+    elevation = random.uniform(*_ELEVATION)
+    x, y, z = config.PandaConfig().base_position
+    flat = distance * np.cos(elevation)
+    height = z + SHOULDER_HEIGHT - config.TABLE_HEIGHT + distance * np.sin(elevation)
+    return start, np.array([x + flat * np.sin(azimuth), y + flat * np.cos(azimuth), max(height, _MIN_HEIGHT)])
+
+
+def add_post_arrival_motion(
+    random: RandomStream, motion: KeyframeMotion, giver: SimulatedGiver, grasp: int
+) -> KeyframeMotion:
+    """Continue a motion to 8 s by a smooth curve of hand and object, in the grasp with this index, then rest.
+
+    The set t0 of GenH2R (Wang et al., CVPR 2024) has such motions.
+    """
+    count = round(_DURATION / KEYFRAME_PERIOD) + 1 - len(motion.fingers)
+    offsets, vectors = _draw_curve(random, count)
+    start, start_rotation = motion.object_position[-1], motion.object_rotation[-1]
+    turns = Rotation.from_rotvec(vectors).as_quat()
+    rotation = Rotation.from_quat(multiply_quaternions(turns, start_rotation.as_quat()))
+    position = start + offsets
+    points = np.concatenate([giver.corners, giver.keypoints[grasp]])
+    lowest = position[:, 2] + (rotation.as_matrix()[:, 2] @ points.T).min(axis=1)
+    # Lift the curve where it would touch the table; its beginning is where the motion ends.
+    missing = float(np.maximum(0.0, JOINT_CLEARANCE - lowest).max())
+    position[:, 2] += missing * minimum_jerk(np.arange(1, count + 1) * KEYFRAME_PERIOD / 0.6)
+    object_from_base = start_rotation.inv() * motion.base_rotation[-1]
+    base_rotation = Rotation.from_quat(multiply_quaternions(rotation.as_quat(), object_from_base.as_quat()))
+    base_offset = start_rotation.inv().apply(motion.base_position[-1] - start)
+    return KeyframeMotion(
+        object_position=np.concatenate([motion.object_position, position]),
+        object_rotation=Rotation.concatenate([motion.object_rotation, rotation]),
+        base_position=np.concatenate([motion.base_position, position + rotation.apply(base_offset)]),
+        base_rotation=Rotation.concatenate([motion.base_rotation, base_rotation]),
+        fingers=np.concatenate([motion.fingers, np.repeat(motion.fingers[-1:], count, axis=0)]),
+        hand_first=motion.hand_first,
+    )
+
+
+def _draw_curve(random: RandomStream, count: int) -> tuple[Array, Array]:
+    """Draw displacements (n, 3) (m) and rotation vectors (n, 3) (rad) from the start of a curve between two rests."""
+    low, high = _N_WAYPOINTS
+    n = low + random.integer(high - low + 1)
+    moves = (2.0 * random.uniforms(n, 3) - 1.0) * np.array(_EXTENT)
+    turns = (2.0 * random.uniforms(n, 3) - 1.0) * _MAX_TURN
+    peak = random.uniform(*_TURN_SPEED)
+    times = np.linspace(0.0, 1.0, n + 1)
+    # The last 0.2 s are at rest.
+    grid = np.minimum(np.arange(count + 1) / max(count - 5, 1), 1.0)
+    curve = CubicSpline(times, np.concatenate([np.zeros((1, 6)), np.hstack([moves, turns])]), bc_type="clamped")(grid)
+    offsets, vectors = curve[:, :3], curve[:, 3:]
+    speed = float(np.linalg.norm(np.diff(offsets, axis=0), axis=1).max()) / KEYFRAME_PERIOD
+    offsets = offsets * min(1.0, MAX_SPEED / speed)
+    # Speeds grow a little slower than the rotation vectors, so that two corrections suffice.
+    for _ in range(3):
+        vectors = vectors * (peak / max(_find_peak_turn_speed(vectors), 1e-6))
+    vectors = vectors * min(1.0, _TURN_SPEED[1] / _find_peak_turn_speed(vectors))
+    return offsets[1:], vectors[1:]
+
+
+def _find_peak_turn_speed(vectors: Array) -> float:
+    """Return the largest angular speed (rad/s) between consecutive keyframes with rotation vectors (n, 3) (rad)."""
+    quaternions = Rotation.from_rotvec(vectors).as_quat()
+    between = multiply_quaternions(quaternions[:-1] * [-1.0, -1.0, -1.0, 1.0], quaternions[1:])
+    return float(Rotation.from_quat(between).magnitude().max()) / KEYFRAME_PERIOD
 
 
 def compute_swept_points(motion: KeyframeMotion, giver: SimulatedGiver) -> Array:

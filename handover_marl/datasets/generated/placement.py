@@ -13,8 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.distance import cdist
 
-from handover_marl.assets.hand_model import HandGeometry
-from handover_marl.assets.human_grasps import LEVELS, HumanGrasps
+from handover_marl.assets.hand_model import LEVELS, HandGeometry, HumanGrasps
 from handover_marl.assets.shipped import find_object_urdf
 from handover_marl.datasets.dataset import TABLE_HEIGHT
 from handover_marl.datasets.generated.random_stream import (
@@ -106,7 +105,7 @@ class SimulatedGiver:
         corners: (n, 3) corners of the object's hull (m).
         up_axes: Weights of the object's axes that point up on the table: +x, -x, +y, -y, +z, -z.
         wrist_distances: Quantiles (m) of the wrist's distance from the object, at the levels
-            `handover_marl.assets.human_grasps.LEVELS`.
+            `handover_marl.assets.hand_model.LEVELS`.
         grasps: The person's g grasps of the object.
         robot_grasps: (n, 7) poses (quaternion xyzw) of the Panda's hand link at robot grasps, or None for no grasps.
     """

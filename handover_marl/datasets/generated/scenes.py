@@ -2,14 +2,19 @@
 
 from abc import abstractmethod
 from collections.abc import Callable
-from functools import cache, lru_cache
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.assets.hand_model import Side, find_hand_urdf, make_hand_geometry
-from handover_marl.assets.human_grasps import WRIST_DISTANCE_QUANTILES, load_human_grasps
+from handover_marl.assets.hand_model import (
+    WRIST_DISTANCE_QUANTILES,
+    Side,
+    find_hand_urdf,
+    load_human_grasps,
+    make_hand_geometry,
+)
 from handover_marl.assets.shipped import load_object_grasps
 from handover_marl.datasets.dataset import Dataset, Scene, SceneInfo
 from handover_marl.datasets.generated.motion import (
@@ -58,15 +63,10 @@ def generate_handover(
     draw_positions: DrawPositions = draw_calibrated_positions,
     extend_motion: Callable[[KeyframeMotion, int], KeyframeMotion] | None = None,
 ) -> GeneratedHandover:
-    """Generate the handover of a person: poses, motion and other objects.
+    """Generate the handover of a person: poses, motion, and other objects, whose number is one of `clutter_counts`.
 
-    Args:
-        seed: Seed of the scene.
-        giver: Person with the handed-over object.
-        clutter_counts: Numbers of other objects, all equally likely.
-        draw_item: Function that draws another object for the table.
-        draw_positions: Function that draws the handed-over object's positions at the start and at the handover.
-        extend_motion: Function that continues a motion after the arrival, given the index of the grasp; None for none.
+    `draw_positions` draws the handed-over object's positions at the start and at the handover; `extend_motion`
+    continues a motion after the arrival, given the index of the grasp.
     """
     placement = draw_placement(open_stream(seed, "placement"), giver, draw_positions)
     motion = draw_motion(seed, placement, giver)
@@ -109,6 +109,7 @@ class HandoverGenerator(Dataset):
 def make_subject_giver(class_id: int, subject: int, side: Side) -> SimulatedGiver:
     """Return one of the ten synthetic subjects, numbered from 1, with a hand and an object of a YCB class number."""
     name = CLASS_NAMES[class_id]
+    transforms = load_object_grasps(name)
     return SimulatedGiver(
         class_id=class_id,
         subject=f"synthetic-subject-{subject:02d}",
@@ -118,11 +119,5 @@ def make_subject_giver(class_id: int, subject: int, side: Side) -> SimulatedGive
         up_axes=UP_AXES[class_id],
         wrist_distances=WRIST_DISTANCE_QUANTILES[name],
         grasps=load_human_grasps(name, subject, side),
-        robot_grasps=_load_robot_grasps(name),
+        robot_grasps=None if transforms is None else hand_poses_from_grasps(transforms),
     )
-
-
-@cache
-def _load_robot_grasps(name: str) -> npt.NDArray[np.float64] | None:
-    transforms = load_object_grasps(name)
-    return None if transforms is None else hand_poses_from_grasps(transforms)

@@ -1,10 +1,10 @@
 """Reader of URDF models: shapes, masses, friction and joint limits of links; writer from Jinja templates."""
 
 import functools
-import math
 import os
 import re
 import xml.etree.ElementTree as ET
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,8 +20,6 @@ from handover_marl.geometry.rotations import quaternions_from_matrices
 
 Color = tuple[float, ...]
 
-# Bullet's values for links without a <contact> element.
-_FRICTION, _SPINNING_FRICTION = "0.5", "0"
 _WHITE = (1.0, 1.0, 1.0, 1.0)
 _PACKAGE = "package://"
 _MESH_NAME = re.compile(rb"""filename\s*=\s*["']([^"']+)["']""")
@@ -34,14 +32,14 @@ class UrdfLink:
     Attributes:
         mass: Mass in kg.
         center: Centre of mass (x, y, z) in the link's frame (m).
-        friction: Lateral friction; Bullet multiplies the values of two touching links.
+        friction: Lateral friction; Bullet multiplies the values of two touching links. Default: Bullet's.
         spinning_friction: Torsional friction: torque about the contact normal per newton of normal force (m).
         limits: Lower and upper limit of the joint that carries the link (rad, m), or None.
     """
 
     mass: float = 0.0
     center: tuple[float, ...] = (0.0, 0.0, 0.0)
-    friction: float = float(_FRICTION)
+    friction: float = 0.5
     spinning_friction: float = 0.0
     limits: tuple[float, float] | None = None
 
@@ -87,18 +85,14 @@ def read_urdf_links(urdf: Path, tree: KinematicTree) -> list[UrdfLink]:
 
 
 def _read_link(element: ET.Element, limits: tuple[float, float] | None) -> UrdfLink:
-    inertial, contact = element.find("inertial"), element.find("contact")
-    mass, center = "0", "0 0 0"
-    if inertial is not None:
-        mass, center = read_attribute(inertial, "mass", "value", "0"), read_attribute(inertial, "origin", "xyz", center)
-    friction, spinning = _FRICTION, _SPINNING_FRICTION
-    if contact is not None:
-        friction = read_attribute(contact, "lateral_friction", "value", friction)
-        spinning = read_attribute(contact, "spinning_friction", "value", spinning)
-    position = tuple(float(value) for value in center.split())
-    if len(position) != 3:
-        raise ValueError(f"expected 3 numbers, found {center!r}")
-    return UrdfLink(float(mass), position, float(friction), float(spinning), limits)
+    center = read_attribute(element, "inertial/origin", "xyz", "0 0 0")
+    return UrdfLink(
+        mass=float(read_attribute(element, "inertial/mass", "value", "0")),
+        center=_parse_numbers(center, 3),
+        friction=float(read_attribute(element, "contact/lateral_friction", "value", "0.5")),
+        spinning_friction=float(read_attribute(element, "contact/spinning_friction", "value", "0")),
+        limits=limits,
+    )
 
 
 def _read_limits(joint: ET.Element) -> tuple[float, float] | None:
@@ -158,32 +152,22 @@ def read_urdf_shapes(urdf: Path, tree: KinematicTree, purpose: str) -> list[Urdf
 def _read_shapes(urdf: Path, changed: int, tree: KinematicTree, purpose: str) -> tuple[UrdfShape, ...]:
     try:
         robot = parse_urdf(urdf)
-    except (OSError, ValueError) as error:
-        raise SimulationError(f"{urdf}: cannot read this model ({error}); check the file") from error
-    numbers = {joint.link: number for number, joint in enumerate(tree.joints)}
-    try:
+        numbers = {joint.link: number for number, joint in enumerate(tree.joints)}
         # The last definition of a name counts, as in PyBullet, which reads those in links after those of the model.
         materials = [*robot.findall("material"), *robot.findall("link/visual/material")]
         named = ((material.get("name"), _read_color(material)) for material in materials)
         colors = {name: color for name, color in named if color is not None}
-    except (ValueError, KeyError) as error:
-        raise SimulationError(f"{urdf}: cannot read a material's colour ({error!r}); check the file") from error
-    shapes = []
-    for link in robot.findall("link"):
-        for element in link.findall(purpose):
-            try:
-                material = element.find("material")
-                color = _WHITE if material is None else colors.get(material.get("name"), _WHITE)
-                shapes.append(_read_shape(element, numbers.get(link.attrib["name"], -1), urdf.parent, color))
-            except (ValueError, KeyError, IndexError, TypeError) as error:
-                raise SimulationError(
-                    f"{urdf}: cannot read a {purpose} shape of link {link.get('name')!r} ({error!r}); check the file"
-                ) from error
-    return tuple(shapes)
+        return tuple(
+            _read_shape(element, numbers.get(link.attrib["name"], -1), urdf.parent, colors)
+            for link in robot.findall("link")
+            for element in link.findall(purpose)
+        )
+    except (OSError, ValueError, KeyError, IndexError, TypeError) as error:
+        raise SimulationError(f"{urdf}: cannot read its {purpose} shapes ({error!r}); check the file") from error
 
 
-def _read_shape(element: ET.Element, link: int, folder: Path, color: Color) -> UrdfShape:
-    geometry = element.find("geometry")
+def _read_shape(element: ET.Element, link: int, folder: Path, colors: Mapping[str | None, Color]) -> UrdfShape:
+    geometry, material = element.find("geometry"), element.find("material")
     if geometry is None:
         raise ValueError("no geometry")
     shape, mesh = geometry[0], None
@@ -199,13 +183,14 @@ def _read_shape(element: ET.Element, link: int, folder: Path, color: Color) -> U
     xyz, rpy = (read_attribute(element, "origin", name, "0 0 0") for name in ("xyz", "rpy"))
     _parse_numbers(rpy, 3)
     pose = np.concatenate([_parse_numbers(xyz, 3), quaternions_from_matrices(matrix_from_rpy(rpy))])
-    return UrdfShape(link, shape.tag, numbers, mesh, pose, color)
+    color = None if material is None else colors.get(material.get("name"))
+    return UrdfShape(link, shape.tag, numbers, mesh, pose, color or _WHITE)
 
 
 def _parse_numbers(text: str, count: int) -> tuple[float, ...]:
     values = tuple(map(float, text.split()))
-    if len(values) != count or not all(map(math.isfinite, values)):
-        raise ValueError(f"expected {count} finite numbers, found {text!r}")
+    if len(values) != count:
+        raise ValueError(f"expected {count} numbers, found {text!r}")
     return values
 
 

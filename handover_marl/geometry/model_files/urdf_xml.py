@@ -1,6 +1,7 @@
 """Reader of the XML of URDF files, with the ranges of all numbers that a physics engine reads from it."""
 
 import math
+import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -20,8 +21,7 @@ URDF_RANGES = {
     **{"lower": _ANY, "upper": _ANY, "rgba": (0.0, 1.0)},
     **{"mass value": (0.0, 1000.0), "restitution value": (0.0, 1.0)},
 }
-# Smallest mass (kg) of a link that moves and touches others.
-_MIN_MASS = 1e-6
+_NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
 
 
 def parse_urdf(urdf: Path) -> ET.Element:
@@ -31,8 +31,7 @@ def parse_urdf(urdf: Path) -> ET.Element:
 
     Raises:
         OSError: The file cannot be read.
-        ValueError: The file is not a plain file, is too large, or is not XML; or a number is out of `URDF_RANGES`, or
-            a link that moves and has a collision shape has no mass.
+        ValueError: The file is not a plain file, is too large, or is not XML; or a number is out of `URDF_RANGES`.
     """
     content = read_plain_file(urdf, MAX_URDF_BYTES)
     try:
@@ -44,31 +43,15 @@ def parse_urdf(urdf: Path) -> ET.Element:
             limits = URDF_RANGES.get(f"{element.tag} {attribute}", URDF_RANGES.get(attribute))
             if limits is not None:
                 _check_numbers(f"{attribute} of <{element.tag}>", text, *limits)
-    for joint in robot.findall("joint"):
-        if joint.get("type") != "fixed":
-            _check_mass(robot, read_attribute(joint, "child", "link"))
     return robot
 
 
 def _check_numbers(name: str, text: str, low: float, high: float) -> None:
     for word in text.split() or [""]:
-        try:
-            value = float(word)
-        except ValueError:
-            value = math.nan
         # Engines read numbers with an underscore or of other scripts otherwise than Python.
-        is_plain = word.isascii() and "_" not in word
-        is_flat = value == 0.0 and name.startswith("scale")
-        if not (is_plain and low <= value <= high) or is_flat:
+        value = float(word) if _NUMBER.fullmatch(word) else math.nan
+        if not low <= value <= high or (value == 0.0 and name.startswith("scale")):
             raise ValueError(f"{name} must be a number from {low:g} to {high:g}, got {word[:40]!r}")
-
-
-def _check_mass(robot: ET.Element, name: str) -> None:
-    """Check that a link that moves and has a collision shape has a mass, if it states one."""
-    for link in robot.findall("link"):
-        mass = link.find("inertial/mass") if link.get("name") == name else None
-        if mass is not None and link.find("collision") is not None and float(mass.get("value", "0")) < _MIN_MASS:
-            raise ValueError(f"mass of link {name!r} must be at least {_MIN_MASS:g} kg, got {mass.get('value')}")
 
 
 def read_attribute(element: ET.Element, tag: str, name: str, default: str | None = None) -> str:

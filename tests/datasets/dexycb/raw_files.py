@@ -13,7 +13,7 @@ from scipy.sparse import csc_matrix
 from scipy.spatial.transform import Rotation
 
 from handover_marl.datasets.dexycb.mano import N_FACES, N_JOINTS, N_VERTICES, PARENTS, ManoModel
-from handover_marl.datasets.dexycb.raw_files import SequenceFolder
+from handover_marl.datasets.dexycb.scenes import SequenceFolder
 from handover_marl.geometry.ycb import SUBJECTS
 
 Array = npt.NDArray[Any]

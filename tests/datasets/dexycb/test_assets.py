@@ -12,8 +12,13 @@ import pytest
 from handover_marl.assets.shipped import find_object_urdf, load_object_grasps
 from handover_marl.datasets import OfficialDataset
 from handover_marl.datasets.dexycb import assets
-from handover_marl.datasets.dexycb.assets import format_numbers, write_object_assets, write_table_assets
-from handover_marl.datasets.dexycb.stand_ins import install_third_party, write_stand_ins
+from handover_marl.datasets.dexycb.assets import (
+    format_numbers,
+    install_third_party,
+    write_object_assets,
+    write_stand_ins,
+    write_table_assets,
+)
 from handover_marl.datasets.official import load_grasps
 from handover_marl.datasets.official_files import PANDA_FILES, is_stand_in_file, list_required_files
 from handover_marl.episode.episode import Episode
@@ -78,6 +83,11 @@ def test_files_are_installed(tmp_path: Path) -> None:
     assert f"1 of the {len(FILES)} " in note
     assert "grasps/003_cracker_box.npy" in note, "the one whose sum is known"
     assert read_files(tmp_path / "assets") == FILES
+    # Links in a folder are ignored.
+    (tmp_path / "assets" / "025_mug").mkdir()
+    (tmp_path / "assets" / "025_mug" / "texture_map.png").symlink_to("/etc/passwd")
+    install_third_party(tmp_path / "assets", tmp_path / "others")
+    assert read_files(tmp_path / "others") == FILES
 
 
 @pytest.mark.slow

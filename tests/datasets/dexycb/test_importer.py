@@ -15,7 +15,7 @@ import pytest
 from handover_marl.cli import main
 from handover_marl.datasets import OfficialDataset
 from handover_marl.datasets.dexycb.importer import ImportReport, import_dexycb
-from handover_marl.datasets.dexycb.raw_files import SequenceFolder, find_sequences, read_sequence, read_sequence_names
+from handover_marl.datasets.dexycb.scenes import SequenceFolder, find_sequences, read_sequence, read_sequence_names
 from handover_marl.datasets.official import CACHE_FOLDER
 from handover_marl.datasets.official_files import list_required_files
 from handover_marl.errors import (
@@ -142,7 +142,7 @@ def test_invalid_arguments(given: Path, tmp_path: Path) -> None:
     (hostile / "MANO_LEFT.pkl").write_bytes(b"cos\nsystem\n(S'touch /tmp/no'\ntR.")
     cases: list[tuple[Any, dict[str, Any], type[Exception], str]] = [
         ((tmp_path, mano), {}, DataNotFoundError, "no raw DexYCB folder"),
-        ((raw, tmp_path), {}, DataNotFoundError, r"holds no MANO_RIGHT\.pkl"),
+        ((raw, tmp_path), {}, DataNotFoundError, r"MANO_RIGHT\.pkl does not exist; copy it from mano_v1_2\.zip"),
         ((raw, mano), {"scenes": [1000]}, SceneError, "scene 1000 is not in DexYCB"),
         ((raw, mano), {"workers": 0}, OptionError, r"workers must be .* got 0"),
         (("", mano), {}, OptionError, "dexycb must be a path"),
@@ -195,11 +195,11 @@ def test_other_recordings_are_numbered_if_all_are_there(tmp_path: Path) -> None:
 
 def test_recording_and_missing_files(tmp_path: Path) -> None:
     scene = RawScene(side="right")
-    found = read_sequence(sequence := scene.write(tmp_path))
-    assert [found.meta[key] for key in ("ycb_ids", "ycb_grasp_ind", "mano_sides")] == [[2, 5], 1, ["right"]]
-    np.testing.assert_array_equal(found.world_from_tag, tag_pose())
-    assert found.betas == tuple(scene.betas)
-    for array, expected in ((found.objects, scene.objects), (found.hand, scene.hand)):
+    meta, world_from_tag, betas, objects, hand = read_sequence(sequence := scene.write(tmp_path))
+    assert [meta[key] for key in ("ycb_ids", "ycb_grasp_ind", "mano_sides")] == [[2, 5], 1, ["right"]]
+    np.testing.assert_array_equal(world_from_tag, tag_pose())
+    assert betas == tuple(scene.betas)
+    for array, expected in ((objects, scene.objects), (hand, scene.hand)):
         assert array.dtype == np.float32
         np.testing.assert_array_equal(array, expected)
     for path in (mano_file(tmp_path), extrinsics_file(tmp_path), sequence.folder / "meta.yml"):
@@ -220,9 +220,9 @@ DAMAGES: list[tuple[Callable[[SequenceFolder], Any], str]] = [
     (lambda sequence: (sequence.folder / "meta.yml").write_bytes(b""), r"meta\.yml.*expand"),
     (lambda sequence: (sequence.folder / "meta.yml").write_bytes(b"a: [\xff"), r"meta\.yml.*expand"),
     (lambda sequence: (sequence.folder / "pose.npz").write_bytes(b"PK"), r"pose\.npz.*expand"),
-    (save_poses(pose_y=OBJECTS[:, :1]), "of 2 objects"),
-    (save_poses(pose_m=HAND[:-1]), "of the hand"),
-    (save_poses(pose_y=np.full_like(OBJECTS, np.inf)), "not finite"),
+    (save_poses(pose_y=OBJECTS[:, :1]), r"pose_y must be finite numbers of shape \('T', 2, 7\)"),
+    (save_poses(pose_m=HAND[:-1]), "pose_m must be finite"),
+    (save_poses(pose_y=np.full_like(OBJECTS, np.inf)), "pose_y must be finite"),
     (save_poses(pose_m=np.zeros_like(HAND)), "few have a hand"),
     (lambda sequence: write_yaml(extrinsics_file(sequence.folder.parents[1]), {}), "KeyError: 'extrinsics'"),
     (

@@ -20,7 +20,7 @@ WRIST = MODEL.locate_wrist([0.5] * 10)
 
 
 def trajectory(poses: np.ndarray, seed: int = 0) -> np.ndarray:
-    return compute_hand_trajectory(poses, TagFrame.from_extrinsics(tag_pose(seed)), MODEL, WRIST, WRIST)
+    return compute_hand_trajectory(poses, TagFrame(tag_pose(seed)), MODEL, WRIST, WRIST)
 
 
 @settings(max_examples=10)
@@ -29,7 +29,7 @@ def test_keyframes_are_the_recorded_ones_in_the_tag_frame(seed: int) -> None:
     """Object, wrist and fingers; the articulated hand rotates about its origin, but MANO rotates about the wrist."""
     poses, pose = object_poses(6, seed=seed)[:, 0], tag_pose(seed)
     tag_from_world = Rotation.from_matrix(pose[:, :3]).inv()
-    found = compute_object_trajectory(poses, TagFrame.from_extrinsics(pose))
+    found = compute_object_trajectory(poses, TagFrame(pose))
     assert found.dtype == np.float32
     assert found.shape == (201, 6)
     keys = found[::STRIDE].astype(np.float64)
