@@ -89,14 +89,6 @@ class ArrayEnvs:
         result = episodes.make_result(self.arrays.asarray(self._current[rows]))
         return result._replace(rewards={agent: self.arrays.zeros(len(rows)) for agent in self._agents})
 
-    def check_actions(self, actions: ByAgent) -> ByAgent:
-        """Return the actions or outputs (n, ...) of all environments as checked float32 arrays of the simulation.
-
-        Raises:
-            ActionError: A number is not finite.
-        """
-        return self._episodes.check_actions(actions)
-
     def step(self, rows: Indices, actions: ByAgent) -> EnvResult:
         """Let the agents act for one control period, or until an action scheme needs outputs; see `batch.Envs.step`."""
         episodes, current = self._episodes, self.arrays.asarray(self._current[rows])

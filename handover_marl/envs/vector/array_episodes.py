@@ -17,9 +17,9 @@ from handover_marl.episode.episodes import Episodes
 from handover_marl.episode.loop import derive_giver_seed, derive_receiver_seed
 from handover_marl.episode.observations import Observation, select_receiver_observation
 from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.episode.spaces import STATE, check_giver_action, check_receiver_action, check_vector
+from handover_marl.episode.spaces import STATE
 from handover_marl.episode.warp_sensors import WarpSensors
-from handover_marl.geometry.arrays import AnyArray, AnyIndices, AnyIntegers, get_namespace, to_numpy
+from handover_marl.geometry.arrays import AnyArray, AnyIndices, AnyIntegers, to_numpy
 from handover_marl.learning.action_scheme import ArrayScheme
 from handover_marl.learning.array_features import ArrayFeatures
 from handover_marl.learning.features import make_array_features
@@ -83,30 +83,6 @@ class ArrayEpisodes:
             if features != OBSERVATION:
                 self._features[agent] = make_array_features(agent, features, context, selector, count, arrays)
             self._schemes[agent] = make_array_scheme(agent, scheme, context, selector, count, arrays)
-
-    def check_actions(self, actions: ByAgent) -> ByAgent:
-        """Check the actions or outputs (n, ...) of all environments; return them as float32 arrays of the simulation.
-
-        Raises:
-            ActionError: A number is not finite.
-        """
-        return {agent: self._check_actions(agent, values) for agent, values in actions.items()}
-
-    def _check_actions(self, agent: str, actions: AnyArray) -> AnyArray:
-        xp = get_namespace(actions)
-        with np.errstate(over="ignore"):
-            values = self.arrays.asarray(xp.astype(actions, xp.float32))
-        xp = self.arrays.xp
-        wrong = xp.nonzero(~xp.all(xp.isfinite(values), axis=1))[0]
-        if len(wrong):
-            row = to_numpy(values[wrong[0]])
-            if agent in self._schemes:
-                check_vector(f"outputs of the {agent}", row, len(row), "as its action scheme decodes")
-            elif agent == RECEIVER:
-                check_receiver_action(row)
-            else:
-                check_giver_action(row, self._base.action_space(GIVER))
-        return values
 
     def start(self, row: int, scene: Scene, seed: int | None, robot_seed: int, camera_seed: int) -> None:
         """Start an episode.

@@ -1,26 +1,23 @@
 """Factory of the environments of one configuration, single or simulated together."""
 
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 from handover_marl.datasets.dataset import Scene
 from handover_marl.envs.arguments import RECEIVER
-from handover_marl.envs.config import EnvConfig
 from handover_marl.envs.custom_rewards import resolve_rewards
-from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.rewards import RewardWeights
 from handover_marl.envs.vector.array_envs import ArrayEnvs
 from handover_marl.envs.vector.batch import Envs
-from handover_marl.envs.vector.single_envs import SingleEnvs, WrapperFunction, apply_wrapper
-from handover_marl.envs.wrappers.control_agent import FixedPartnerEnv, control_agent
-from handover_marl.envs.wrappers.encode import EncodedEnv, encode
+from handover_marl.envs.vector.single_envs import SingleEnvs
+from handover_marl.envs.wrappers.control_agent import FixedPartnerEnv
+from handover_marl.envs.wrappers.encode import EncodedEnv
 from handover_marl.envs.wrappers.wrapper import EpisodeReturns, WrappableEnv, list_wrappers
 from handover_marl.episode.spaces import FULL_POINTCLOUD, STATE, parse_obs_mode
 from handover_marl.errors import OptionError
-from handover_marl.learning.custom_encodings import FeaturesLike, SchemeLike, is_reference
-from handover_marl.policies.reference import PolicyLike
+from handover_marl.learning.custom_encodings import is_reference
 from handover_marl.simulation.camera.renderers import RAYS, resolve_renderer
 from handover_marl.simulation.engines import MUJOCO, WARP, BatchBackend
 
@@ -30,43 +27,23 @@ _CACHED_SCENES = 512
 
 @dataclass(frozen=True, eq=False)
 class EnvFactory:
-    """Factory of the environments that `vector_env` makes; most attributes are its arguments of the same names.
+    """Factory of the environments that `vector_env` makes.
 
     Attributes:
+        make_single: Function that makes a single environment, with its wrappers.
         prefetch_episodes: Whether the next episodes may be simulated in advance, because `reset` gets no
             options after the end of an episode.
         backend: Engine and device of environments that are simulated together.
-
-    Raises:
-        OptionError: `partner`, `wrappers` or the render mode is not one that several environments can have.
     """
 
-    config: EnvConfig
-    agent: str | None
-    partner: PolicyLike | None
-    features: FeaturesLike | Mapping[str, FeaturesLike] | None
-    action_scheme: SchemeLike | Mapping[str, SchemeLike] | None
-    wrappers: Sequence[WrapperFunction]
-    trust: bool
+    make_single: Callable[[], WrappableEnv]
     prefetch_episodes: bool
     backend: BatchBackend
-
-    def __post_init__(self) -> None:
-        if self.agent is None and self.partner is not None:
-            raise OptionError(
-                f"partner must be None if both agents are controlled, got {self.partner!r}; leave it out, or name one "
-                "agent"
-            )
-        wrappers: object = self.wrappers
-        if not isinstance(wrappers, Sequence) or isinstance(wrappers, str):
-            raise OptionError(f"wrappers must be a list of functions or classes, got {wrappers!r}")
-        if self.config.render_mode == "human":
-            raise OptionError('render_mode must be None or "rgb_array" for several environments, got "human"')
 
     @functools.cached_property
     def template(self) -> WrappableEnv:
         """Single environment of the configuration, with its wrappers."""
-        return self._make_single()
+        return self.make_single()
 
     @property
     def uses_arrays(self) -> bool:
@@ -75,9 +52,10 @@ class EnvFactory:
         Arrays need MuJoCo's physics, no wrappers but `EpisodeReturns`, `control_agent` and `encode` in this order, and
         either no camera, or "warp" with a camera that passes `check_device`.
         """
-        if self.config.physics != MUJOCO or self.config.render_mode is not None:
+        config = self.template.unwrapped.config
+        if config.physics != MUJOCO or config.render_mode is not None:
             return False
-        if self.config.obs_mode != STATE and self.backend.name != WARP:
+        if config.obs_mode != STATE and self.backend.name != WARP:
             return False
         wrappers = list_wrappers(self.template)
         if any(isinstance(env, FixedPartnerEnv) and env.policy.obs_mode != STATE for env in wrappers):
@@ -105,26 +83,16 @@ class EnvFactory:
     def make(self, count: int) -> Envs:
         """Make `count` environments, which one thread simulates."""
         if not self.uses_arrays:
-            return SingleEnvs(self._make_single, count)
+            return SingleEnvs(self.make_single, count)
         return ArrayEnvs(self.template, count, self.prefetch_episodes, self._load_scene, self.backend)
 
     @functools.cached_property
     def _load_scene(self) -> Callable[[int], Scene]:
         return functools.lru_cache(maxsize=_CACHED_SCENES)(self.template.unwrapped.dataset.load_scene)
 
-    def _make_single(self) -> WrappableEnv:
-        env: WrappableEnv = HandoverEnv(self.config)
-        for wrapper in self.wrappers:
-            env = apply_wrapper(wrapper, env)
-        if self.agent is not None:
-            env = control_agent(env, self.agent, self.partner, trust=self.trust)
-        if self.features is None and self.action_scheme is None:
-            return env
-        return encode(env, self.features, self.action_scheme)
-
     def _list_camera_faults(self) -> list[tuple[bool, str]]:
         """Return pairs: whether a requirement of cameras on a device is violated, and the requirement as text."""
-        config = self.config
+        config = self.template.unwrapped.config
         faults = [
             (env.policy.obs_mode != STATE, f"a partner without a camera, got {env.policy.name!r}")
             for env in list_wrappers(self.template)

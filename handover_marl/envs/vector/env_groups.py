@@ -41,10 +41,6 @@ class GroupedEnvs:
 
         return self._map(rows, reset)
 
-    def check_actions(self, actions: ByAgent) -> ByAgent:
-        """Check the actions (n, ...) of all environments, and return them as `step` takes them."""
-        return self._groups[0].check_actions(actions)
-
     def step(self, rows: Indices, actions: ByAgent) -> EnvResult:
         """Step the environments `rows` (r,) with checked actions (r, ...) by agent; see `batch.Envs.step`."""
         return self._map(rows, lambda group, own_rows, places: group.step(own_rows, select_rows(actions, places)))
@@ -105,11 +101,6 @@ class ProcessEnvs:
         """Start episodes in the environments `rows` (r,), with a seed for each; see `batch.Envs.reset`."""
         result: EnvResult = self._call("reset", rows, seeds, options)
         return result
-
-    def check_actions(self, actions: ByAgent) -> ByAgent:
-        """Check the actions (n, ...) of all environments, and return them as `step` takes them."""
-        checked: ByAgent = self._call("check_actions", actions)
-        return checked
 
     def step(self, rows: Indices, actions: ByAgent) -> EnvResult:
         """Step the environments `rows` (r,) with checked actions (r, ...) by agent; see `batch.Envs.step`."""

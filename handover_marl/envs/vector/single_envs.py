@@ -43,10 +43,6 @@ class SingleEnvs:
         rewards = {agent: np.zeros(count) for agent in agents}
         return EnvResult(self._stack(observations), rewards, flags, flags, _stack_infos(infos))
 
-    def check_actions(self, actions: ByAgent) -> ByAgent:
-        """Return the actions unchanged; each environment checks its own."""
-        return actions
-
     def step(self, rows: Indices, actions: ByAgent) -> EnvResult:
         """Step the environments `rows` (r,) with actions (r, ...) by agent; see `batch.Envs.step`."""
         steps = [

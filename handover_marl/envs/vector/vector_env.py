@@ -7,16 +7,16 @@ from typing import Any
 
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
-from gymnasium.vector.utils import batch_space
 
 from handover_marl.envs.arguments import check_positive_integer
 from handover_marl.envs.config import EnvConfig, make_env_config
 from handover_marl.envs.handover_env import HandoverEnv
-from handover_marl.envs.vector.batch import EnvBatch
 from handover_marl.envs.vector.env_factory import EnvFactory
 from handover_marl.envs.vector.env_groups import GroupedEnvs, ProcessEnvs
 from handover_marl.envs.vector.parallel_vector_env import ParallelVectorEnv
-from handover_marl.envs.vector.single_envs import WrapperFunction
+from handover_marl.envs.vector.single_envs import WrapperFunction, apply_wrapper
+from handover_marl.envs.wrappers.control_agent import control_agent
+from handover_marl.envs.wrappers.encode import encode
 from handover_marl.envs.wrappers.wrapper import WrappableEnv
 from handover_marl.errors import OptionError, check_name
 from handover_marl.execution.options import count_available_cores, forward_signature
@@ -44,49 +44,37 @@ class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
     episode has ended, and its mask "_final_obs" is a NumPy array.
 
     Args:
-        batch: The environments.
-        template: Single environment with the same spaces.
+        envs: The environments of this agent.
+        render_mode: Render mode of each environment.
 
     Attributes:
         autoreset_mode: Gymnasium's mode of the reset after an episode's end.
         scene_ids: Numbers of the scenes that the environments draw from.
     """
 
-    metadata: dict[str, Any] = {**HandoverEnv.metadata, "name": "handover_vector_v0"}
     single_action_space: spaces.Box
 
-    def __init__(self, batch: EnvBatch, template: WrappableEnv) -> None:
-        agents: list[str] = list(template.possible_agents)
-        (self._agent,) = agents
-        self._batch, self._template = batch, template
-        self.scene_ids: tuple[int, ...] = template.unwrapped.scene_ids
-        self.num_envs, self.render_mode = batch.num_envs, template.render_mode
-        self.autoreset_mode = batch.autoreset
-        self.metadata = {**type(self).metadata, **template.metadata, "autoreset_mode": batch.autoreset}
-        self.single_observation_space = template.observation_space(self._agent)
-        self.single_action_space = template.action_space(self._agent)
-        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
-        self.action_space = batch_space(self.single_action_space, self.num_envs)
+    def __init__(self, envs: ParallelVectorEnv, render_mode: str | None) -> None:
+        (self._agent,) = envs.possible_agents
+        self._envs, self.render_mode = envs, render_mode
+        self.num_envs, self.autoreset_mode, self.scene_ids = envs.num_envs, envs.autoreset_mode, envs.scene_ids
+        self.metadata = envs.metadata
+        self.single_observation_space = envs.single_observation_space(self._agent)
+        self.single_action_space = envs.single_action_space(self._agent)
+        self.observation_space = envs.observation_space(self._agent)
+        self.action_space = envs.action_space(self._agent)
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Start an episode in every environment, or in some with `options={"reset_mask": (n,) bool}`.
 
-        Args:
-            seed: Seed of the first environment, environment k gets `seed + k`; or a list with a seed
-                for each environment.
-            options: Options that every environment gets: `{"scene_id": n}` chooses the scene; and
-                `reset_mask`, the mask of the environments to reset, an array or a tensor.
+        Arguments and errors are as in `ParallelVectorEnv.reset`.
 
         Returns:
             Observations (n, ...), and infos in Gymnasium's form.
-
-        Raises:
-            OptionError: The number of seeds or the shape of the mask is wrong, or no environment is chosen.
-            ResetNeededError: The environments are closed, or were made by another process.
         """
-        observations, infos = self._batch.reset(seed, options)
+        observations, infos = self._envs.reset(seed, options)
         return observations[self._agent], infos[self._agent]
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
@@ -102,26 +90,25 @@ class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
             Observations (n, ...), rewards (n,), terminations (n,), truncations (n,), and infos in Gymnasium's form.
 
         Raises:
-            ActionError: The actions are not a numeric array (n, ...), or are a tensor with a gradient.
+            ActionError: The actions are not an array (n, ...) of finite numbers, or are a tensor with a gradient.
             ResetNeededError: There was no reset, or a reset or step has failed since.
         """
         observations, rewards, terminated, truncated, infos = (
-            part[self._agent] for part in self._batch.step({self._agent: actions})
+            part[self._agent] for part in self._envs.step({self._agent: actions})
         )
         return observations, rewards, terminated, truncated, infos
 
     def camera_info(self) -> dict[str, CameraInfo]:
         """Return size, intrinsics and pose of each camera by name, the same in all environments and episodes."""
-        found: dict[str, CameraInfo] = self._template.unwrapped.camera_info()
-        return found
+        return self._envs.camera_info()
 
     def render(self) -> tuple[Any, ...] | None:
         """Return the RGB image (height, width, 3) of each environment; None unless `render_mode` is "rgb_array"."""
-        return self._batch.render()
+        return self._envs.render()
 
     def close_extras(self, **kwargs: Any) -> None:
         """Free the simulations of all environments."""
-        self._batch.close()
+        self._envs.close()
 
 
 @forward_signature(EnvConfig, defaults={"physics": MUJOCO})
@@ -188,12 +175,28 @@ def vector_env(
     check_name("autoreset", autoreset, AUTORESETS)
     chosen_backend = BatchBackend(backend, device)
     count, threads, processes = _check_counts(num_envs, threads, processes, chosen_backend)
+    if agent is None and partner is not None:
+        raise OptionError(
+            f"partner must be None if both agents are controlled, got {partner!r}; leave it out, or name one agent"
+        )
+    given: object = wrappers
+    if not isinstance(given, Sequence) or isinstance(given, str):
+        raise OptionError(f"wrappers must be a list of functions or classes, got {given!r}")
     if config is None:
         fields = {"physics": MUJOCO, **fields}
     chosen = make_env_config(config, fields)
-    factory = EnvFactory(
-        chosen, agent, partner, features, action_scheme, wrappers, trust, autoreset != "disabled", chosen_backend
-    )
+    if chosen.render_mode == "human":
+        raise OptionError('render_mode must be None or "rgb_array" for several environments, got "human"')
+
+    def make_single() -> WrappableEnv:
+        env: WrappableEnv = HandoverEnv(chosen)
+        for wrapper in wrappers:
+            env = apply_wrapper(wrapper, env)
+        if agent is not None:
+            env = control_agent(env, agent, partner, trust=trust)
+        return env if features is None and action_scheme is None else encode(env, features, action_scheme)
+
+    factory = EnvFactory(make_single, autoreset != "disabled", chosen_backend)
     if backend == WARP:
         factory.check_device()
     template, make = factory.template, factory.make
@@ -205,9 +208,8 @@ def vector_env(
         n_groups = (threads or count_available_cores()) if factory.uses_arrays and backend == THREADS else 1
     n_groups = min(n_groups, count)
     envs = make(count) if n_groups == 1 else GroupedEnvs(make, count, n_groups)
-    action_spaces = {name: template.action_space(name) for name in template.possible_agents}
-    batch = EnvBatch(envs, action_spaces, count, AutoresetMode[autoreset.upper()])
-    return ParallelVectorEnv(batch, template) if agent is None else HandoverVectorEnv(batch, template)
+    both = ParallelVectorEnv(envs, template, count, AutoresetMode[autoreset.upper()])
+    return both if agent is None else HandoverVectorEnv(both, template.render_mode)
 
 
 def _check_counts(

@@ -387,7 +387,7 @@ def test_vector_environments_cannot_be_copied(three: HandoverVectorEnv) -> None:
 
 def test_two_threads_at_once_are_refused(three: HandoverVectorEnv, monkeypatch: pytest.MonkeyPatch) -> None:
     three.reset(seed=1)
-    envs = three._batch._envs
+    envs = three._envs._envs
     simulate = envs.step
 
     def step_twice(rows: Any, actions: Any) -> Any:
