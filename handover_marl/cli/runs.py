@@ -12,16 +12,15 @@ from handover_marl.cli.options import (
     ReceiverArguments,
     RenderArguments,
     SceneArguments,
-    StrangersArguments,
-    StrangersExecutionArguments,
     TableArguments,
     Trust,
 )
 from handover_marl.cli.streams import print_tables
 from handover_marl.evaluation.config import ExecutionConfig
+from handover_marl.simulation.engines import FAST
 
 _EXECUTION, _VAL_PAIR, _VAL_SCENES = ExecutionArguments(), PairArguments(split="val"), SceneArguments(split="val")
-_STRANGERS, _STRANGERS_EXECUTION, _TABLES = StrangersArguments(), StrangersExecutionArguments(), TableArguments()
+_STRANGERS, _TABLES = SceneArguments(physics=FAST), TableArguments()
 # Fields of `EvaluationConfig` that apply to a single scene.
 _SCENE_FIELDS = (
     *("dataset", "data_dir", "physics", "robot", "renderer", "camera_model", "camera_noise", "seed", "giver"),
@@ -84,8 +83,8 @@ def run_strangers(
     population: PopulationName = "strangers-v1",
     partners: Literal["train", "test", "all"] = "test",
     n_scenes: int = 36,
-    evaluation: StrangersArguments = _STRANGERS,
-    execution: StrangersExecutionArguments = _STRANGERS_EXECUTION,
+    evaluation: SceneArguments = _STRANGERS,
+    execution: ExecutionArguments = _EXECUTION,
     tables: TableArguments = _TABLES,
 ) -> None:
     """Evaluate a receiver, or a giver, with unseen partners from a population.
