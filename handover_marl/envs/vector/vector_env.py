@@ -1,35 +1,41 @@
 """Vector environment of one agent (Gymnasium's VectorEnv), and the constructor of vector environments."""
 
 import functools
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeAlias
 
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 
-from handover_marl.envs.arguments import check_positive_integer
+from handover_marl.datasets.dataset import Scene
+from handover_marl.envs.arguments import RECEIVER, check_positive_integer
 from handover_marl.envs.config import EnvConfig, make_env_config
+from handover_marl.envs.custom_rewards import resolve_rewards
 from handover_marl.envs.handover_env import HandoverEnv
-from handover_marl.envs.vector.env_factory import EnvFactory
-from handover_marl.envs.vector.env_groups import GroupedEnvs, ProcessEnvs
+from handover_marl.envs.rewards import RewardWeights
+from handover_marl.envs.vector.array_envs import ArrayEnvs
+from handover_marl.envs.vector.batch import Envs
+from handover_marl.envs.vector.env_groups import GroupedEnvs, ProcessEnvs, SingleEnvs
 from handover_marl.envs.vector.parallel_vector_env import ParallelVectorEnv
-from handover_marl.envs.vector.single_envs import WrapperFunction, apply_wrapper
-from handover_marl.envs.wrappers.control_agent import control_agent
-from handover_marl.envs.wrappers.encode import encode
-from handover_marl.envs.wrappers.wrapper import WrappableEnv
-from handover_marl.errors import OptionError, check_name
+from handover_marl.envs.wrappers.control_agent import FixedPartnerEnv, control_agent
+from handover_marl.envs.wrappers.encode import EncodedEnv, encode
+from handover_marl.envs.wrappers.wrapper import EpisodeReturns, WrappableEnv, check_env, list_wrappers
+from handover_marl.episode.spaces import FULL_POINTCLOUD, STATE, parse_obs_mode
+from handover_marl.errors import HandoverError, OptionError, check_name
 from handover_marl.execution.options import count_available_cores, forward_signature
-from handover_marl.learning.custom_encodings import FeaturesLike, SchemeLike
+from handover_marl.learning.custom_encodings import FeaturesLike, SchemeLike, is_reference
 from handover_marl.policies.reference import PolicyLike
 from handover_marl.simulation.camera.optics import CameraInfo
+from handover_marl.simulation.camera.renderers import RAYS, resolve_renderer
 from handover_marl.simulation.engines import CPU, MUJOCO, THREADS, WARP, BatchBackend, check_backend
 
+#: Function or class that wraps the environment by a `pettingzoo.utils.BaseParallelWrapper`.
+WrapperFunction: TypeAlias = Callable[[WrappableEnv], WrappableEnv]
 AUTORESETS = tuple(mode.name.lower() for mode in AutoresetMode)
-
-
 #: Largest number of environments in a batch; each takes megabytes of memory.
 MAX_ENVS = 65_536
+# A scene takes 0.7 MB, and 5 ms to read.
+_CACHED_SCENES = 512
 
 
 class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
@@ -191,25 +197,137 @@ def vector_env(
     def make_single() -> WrappableEnv:
         env: WrappableEnv = HandoverEnv(chosen)
         for wrapper in wrappers:
-            env = apply_wrapper(wrapper, env)
+            env = _apply_wrapper(wrapper, env)
         if agent is not None:
             env = control_agent(env, agent, partner, trust=trust)
         return env if features is None and action_scheme is None else encode(env, features, action_scheme)
 
-    factory = EnvFactory(make_single, autoreset != "disabled", chosen_backend)
+    template = make_single()
+    uses_arrays = _can_use_arrays(template, backend)
     if backend == WARP:
-        factory.check_device()
-    template, make = factory.template, factory.make
+        _check_device(template, uses_arrays)
+    # Groups share the template and the scenes; processes make their own.
+    make: Callable[..., Envs] = functools.partial(_make_envs, make_single, autoreset != "disabled", chosen_backend)
     if processes is not None:
-        n_groups = processes
-        # The copy has no environment, which would be pickled with it.
-        make = functools.partial(ProcessEnvs, replace(factory).make)
+        n_groups, make = processes, functools.partial(ProcessEnvs, make)
     else:
-        n_groups = (threads or count_available_cores()) if factory.uses_arrays and backend == THREADS else 1
+        n_groups = (threads or count_available_cores()) if uses_arrays and backend == THREADS else 1
+        make = functools.partial(make, template=template, load_scene=_cache_scenes(template))
     n_groups = min(n_groups, count)
     envs = make(count) if n_groups == 1 else GroupedEnvs(make, count, n_groups)
     both = ParallelVectorEnv(envs, template, count, AutoresetMode[autoreset.upper()])
     return both if agent is None else HandoverVectorEnv(both, template.render_mode)
+
+
+def _make_envs(
+    make_single: Callable[[], WrappableEnv],
+    prefetches: bool,
+    backend: BatchBackend,
+    count: int,
+    template: WrappableEnv | None = None,
+    load_scene: Callable[[int], Scene] | None = None,
+) -> Envs:
+    """Make environments, which one thread simulates.
+
+    Args:
+        make_single: Function that makes a single environment, with its wrappers.
+        prefetches: Whether the next episodes may be simulated in advance, because `reset` gets no options after the end
+            of an episode.
+        backend: Engine and device of environments that are simulated together.
+        count: Number of environments.
+        template: Single environment; default: a new one.
+        load_scene: Function that loads a scene by its number; default: a new one with a cache.
+    """
+    template = template or make_single()
+    if not _can_use_arrays(template, backend.name):
+        return SingleEnvs(make_single, count)
+    return ArrayEnvs(template, count, prefetches, load_scene or _cache_scenes(template), backend)
+
+
+def _cache_scenes(template: WrappableEnv) -> Callable[[int], Scene]:
+    return functools.lru_cache(maxsize=_CACHED_SCENES)(template.unwrapped.dataset.load_scene)
+
+
+def _can_use_arrays(template: WrappableEnv, backend: str) -> bool:
+    """Return whether `ArrayEnvs` can simulate the environments together.
+
+    Arrays need MuJoCo's physics, no wrappers but `EpisodeReturns`, `control_agent` and `encode` in this order, and
+    either no camera, or "warp" with a camera that passes `_check_device`.
+    """
+    config = template.unwrapped.config
+    if config.physics != MUJOCO or config.render_mode is not None:
+        return False
+    if config.obs_mode != STATE and backend != WARP:
+        return False
+    wrappers = list_wrappers(template)
+    if any(isinstance(env, FixedPartnerEnv) and env.policy.obs_mode != STATE for env in wrappers):
+        return False
+    kinds = [type(env) for env in wrappers]
+    return kinds == [kind for kind in (EncodedEnv, FixedPartnerEnv, EpisodeReturns) if kind in kinds]
+
+
+def _check_device(template: WrappableEnv, uses_arrays: bool) -> None:
+    """Check that environments can be simulated on a device, with the backend "warp".
+
+    Raises:
+        OptionError: The environments must be simulated with "threads": for their physics or wrappers, or because
+            a camera has data or noise that only "threads" can simulate, or the partner, a user-defined
+            reward or a user-defined action scheme observes a camera.
+    """
+    config = template.unwrapped.config
+    faults = [
+        (env.policy.obs_mode != STATE, f"a partner without a camera, got {env.policy.name!r}")
+        for env in list_wrappers(template)
+        if isinstance(env, FixedPartnerEnv)
+    ]
+    if config.obs_mode != STATE:
+        choices = template.choices if isinstance(template, EncodedEnv) else {}
+        scheme: Any = choices[RECEIVER][1] if RECEIVER in choices else ""
+        has_full_clouds = FULL_POINTCLOUD in parse_obs_mode(config.obs_mode)
+        has_terms = isinstance(resolve_rewards(config.rewards), RewardWeights)
+        faults += [
+            (has_full_clouds, f"an obs_mode without {FULL_POINTCLOUD}, got {config.obs_mode!r}"),
+            (config.camera_noise is not None, f"camera_noise=None, got {config.camera_noise!r}"),
+            (config.camera_randomization is not None, "camera_randomization=None"),
+            (any(camera.period for camera in config.sensors.cameras), "cameras with period=0"),
+            (
+                resolve_renderer(config.renderer, config.physics) != RAYS,
+                f"the renderer 'rays', got {config.renderer!r}",
+            ),
+            (not has_terms, f"rewards that are weights of the library's terms, got {config.rewards!r}"),
+            (
+                not isinstance(scheme, str) or is_reference(scheme),
+                f"a built-in action scheme for the receiver, got {scheme!r}",
+            ),
+        ]
+    for is_wrong, need in faults:
+        if is_wrong:
+            raise OptionError(f"cameras with backend='warp' need {need}; use backend='threads'")
+    if not uses_arrays:
+        raise OptionError(
+            "with backend='warp', environments must have physics='mujoco', render_mode=None and no wrappers but "
+            "EpisodeReturns; use backend='threads'"
+        )
+
+
+def _apply_wrapper(wrapper: WrapperFunction, env: WrappableEnv) -> WrappableEnv:
+    """Return an environment wrapped by a user's function or class `wrapper`.
+
+    Raises:
+        OptionError: The wrapper cannot be called, fails, or does not wrap the environment that it gets.
+    """
+    if not callable(wrapper):
+        raise OptionError(f"wrappers must be functions or classes that wrap an environment, got {wrapper!r}")
+    try:
+        wrapped = wrapper(env)
+    except HandoverError:
+        raise
+    except (Exception, SystemExit) as error:  # code of the user
+        raise OptionError(f"wrapper {wrapper!r} failed ({type(error).__name__}: {error})") from error
+    check_env(wrapped)
+    if wrapped.unwrapped is not env.unwrapped:
+        raise OptionError(f"wrappers must wrap the environment that they get, got another one from {wrapper!r}")
+    return wrapped
 
 
 def _check_counts(

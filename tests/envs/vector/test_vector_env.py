@@ -15,7 +15,7 @@ pytest.importorskip("mujoco", reason="needs MuJoCo")
 
 import handover_marl
 from handover_marl.config import WorldConfig
-from handover_marl.envs.vector.array_episodes import ArrayEpisodes
+from handover_marl.envs.vector.array_envs import ArrayEpisodes
 from handover_marl.envs.vector.vector_env import HandoverVectorEnv
 from handover_marl.envs.wrappers.control_agent import control_agent
 from handover_marl.envs.wrappers.wrapper import SingleAgentEnv
