@@ -26,14 +26,10 @@ def has_display() -> bool:
 
 
 def check_positive_integer(name: str, value: object) -> int:
-    """Check that an argument is a positive integer, and return it as int.
-
-    Args:
-        name: Name of the argument, for the error message.
-        value: Value of the argument.
+    """Check that an argument is an integer of at least 1, and return it as int; `name` is for the error.
 
     Raises:
-        OptionError: The argument is not an integer of at least 1.
+        OptionError: The argument is not such an integer.
     """
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
         raise OptionError(f"{name} must be an integer of at least 1, got {value!r}")
@@ -41,11 +37,7 @@ def check_positive_integer(name: str, value: object) -> int:
 
 
 def check_actions(actions: Any, giver_space: spaces.Box) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-    """Check the actions of both agents; return the receiver's (9,) and the giver's (8,) as float32.
-
-    Args:
-        actions: Actions by agent.
-        giver_space: Action space that the giver's action is clipped to.
+    """Check the actions of both agents; return the receiver's (9,) and the giver's (8,), clipped, as float32.
 
     Raises:
         ActionError: `actions` is not a mapping, names an unknown agent, or an action is missing or malformed.
@@ -65,11 +57,8 @@ def check_actions(actions: Any, giver_space: spaces.Box) -> tuple[npt.NDArray[np
 def check_scene_option(options: Any, scene_ids: Sequence[int], split_name: str) -> int | None:
     """Return the scene number that the options of `reset` choose, or None if they choose none.
 
-    Args:
-        options: Options of `reset`. Unknown keys, which API checkers pass, cause a warning, but an error if "scene" is
-            in the key.
-        scene_ids: Scene numbers to choose from, ascending.
-        split_name: Name of the set of these scenes, for the error message.
+    Unknown options, which API checkers pass, cause a warning, but an error if "scene" is in their name. Errors name the
+    set of the valid `scene_ids`, ascending, as `split_name`.
 
     Raises:
         OptionError: `options` is not a mapping, or has a key with "scene" in it other than `scene_id`.

@@ -74,11 +74,7 @@ class EnvConfig(SceneConfig):
 
 
 def make_env_config(config: EnvConfig | None, fields: Mapping[str, Any]) -> EnvConfig:
-    """Return a given environment configuration, or make one from its fields.
-
-    Args:
-        config: Configuration to return, or None.
-        fields: Fields of `EnvConfig` by name; empty if `config` is given.
+    """Return a given environment configuration, or make one from its fields, which must be empty if it is given.
 
     Raises:
         OptionError: Both `config` and `fields` are given, or a value is out of range.

@@ -15,7 +15,7 @@ from handover_marl.datasets import open_dataset
 from handover_marl.datasets.splits import choose_scenes
 from handover_marl.envs.arguments import AGENTS, GIVER, RECEIVER, check_actions, check_scene_option, has_display
 from handover_marl.envs.config import RENDER_MODES, EnvConfig, make_env_config
-from handover_marl.envs.custom_rewards import make_reward_source
+from handover_marl.envs.custom_rewards import RewardSource
 from handover_marl.envs.rewards import StepData
 from handover_marl.envs.transition import Transition, TransitionRecorder
 from handover_marl.episode.camera_observations import CameraCapture
@@ -122,7 +122,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         self.render_mode = config.render_mode
         world_config = config.world_config
         self._episode = Episode(config.physics, world_config, config.render_mode == "human", config.sensors)
-        self._rewards = make_reward_source(config.rewards, world_config.protocol.goal_center)
+        self._rewards = RewardSource(config.rewards, world_config.protocol.goal_center)
         self._recorder = TransitionRecorder(config.control_period)
         self._largest_class = max(self.dataset.object_names)
         self._observation: Observation | None = None
@@ -303,12 +303,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
     def set_partner(self, agent: str, policy: EpisodePolicy, seed: int | None) -> None:
         """Let a policy act for an agent until the next reset, at its own control period and seeded as in evaluations.
 
-        Actions that `step` gets for this agent are not used.
-
-        Args:
-            agent: Agent that the policy acts for, "giver" or "receiver".
-            policy: Policy of this agent.
-            seed: Seed of the run.
+        Actions that `step` gets for this agent, "giver" or "receiver", are not used. `seed` is the seed of the run.
 
         Raises:
             PolicyError: The policy is a giver and fails at the start of the episode.

@@ -75,11 +75,9 @@ class EpisodeRunner:
         self._recorders = [writer.create_recorder(config, self.receiver) for writer in writers]
 
     def run(self, task: SceneTask, receiver: EpisodePolicy | None = None) -> FinishedEpisode:
-        """Simulate a task's scene to the end of its episode; return the result and the content of each writer's file.
+        """Simulate a scene to the end of its episode; return the result and the content of each writer's file.
 
-        Args:
-            task: Scene to simulate.
-            receiver: Policy to play instead of the configured receiver.
+        A `receiver` plays instead of the configured one.
 
         Raises:
             HandoverError: The scene cannot be simulated, its data differ from the main machine's, or a policy fails.
@@ -127,13 +125,7 @@ class EpisodeRunner:
 def run_episodes(
     config: EvaluationConfig, tasks: Sequence[SceneTask], pool: AnyPool, writers: tuple[EpisodeWriter, ...] = ()
 ) -> Generator[tuple[int, FinishedEpisode], None, None]:
-    """Simulate scenes in workers; yield each episode as soon as it is finished.
-
-    Args:
-        config: Resolved configuration.
-        tasks: Scenes to simulate.
-        pool: Workers; one local worker is this process.
-        writers: Writers whose recorders observe the episodes.
+    """Simulate scenes of a resolved configuration in workers; yield each episode as soon as it is finished.
 
     Returns:
         Generator of pairs (index in `tasks`, finished episode); closing it ends the tasks that still run.

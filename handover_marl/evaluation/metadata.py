@@ -86,13 +86,9 @@ class ResultMetadata:
     def from_config(
         cls, config: EvaluationConfig, recorded: str = "", shard: str = "", n_split_scenes: int = 0
     ) -> "ResultMetadata":
-        """Create the identity of an evaluation from its configuration.
+        """Create the identity of an evaluation from its resolved configuration.
 
-        Args:
-            config: Resolved configuration.
-            recorded: Description of the recordings kept beside the results.
-            shard: Part of the evaluation, e.g. "3/16", or "1/2 of 209,214" of selected scenes.
-            n_split_scenes: Number of scenes in the split; may be left out for an official setup.
+        The number of scenes in the split, `n_split_scenes`, may be left out for an official setup.
         """
         giver, receiver = require_policy_reference(config.giver), require_policy_reference(config.receiver)
         same = ("setup", "split", "physics", "dataset", "robot")

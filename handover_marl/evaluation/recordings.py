@@ -90,11 +90,9 @@ def format_trace(trace: EpisodeTrace, recorder: ForceRecorder) -> str:
 
 
 def format_replay_facts(config: EvaluationConfig, models: str) -> str:
-    """Return one line of text on data, policies and simulation of a replayed episode, for its page.
+    """Return one line of text on data, policies and simulation of a replayed episode of a resolved configuration.
 
-    Args:
-        config: Resolved configuration of the evaluation.
-        models: Description of substitutes for HandoverSim's models; empty if there are none.
+    Substitutes for HandoverSim's models are described by `models`, which is empty if there are none.
     """
     receiver, giver = require_policy_reference(config.receiver), require_policy_reference(config.giver)
     camera = config.sensors.describe(receiver.obs_mode, config.physics)

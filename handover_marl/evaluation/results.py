@@ -235,14 +235,10 @@ class ResultFolder(EpisodeWriter):
             )
 
     def read(self, index: int, fingerprint: str) -> EpisodeResult | None:
-        """Read the result of a scene; None if the result file is missing or damaged.
-
-        Args:
-            index: Index of the scene in the split.
-            fingerprint: Hash of the scene's present data.
+        """Read the result of a scene by its index in the split; None if the result file is missing or damaged.
 
         Raises:
-            ResultsError: The result was computed from other data.
+            ResultsError: The result was computed from other data: it has another `fingerprint`.
         """
         path = get_result_path(self.path, index)
         try:
@@ -264,10 +260,8 @@ def encode_result(
 ) -> bytes:
     """Return the content of a scene's official result file (`.npz`).
 
-    Args:
-        result: Result of the scene.
-        actions: (T, 9) target joint positions in each of T physics steps, 7 arm joints (rad), 2 fingers (m).
-        elapsed_time: (T,) wall-clock time in the receiver's policy in each step (s), zero between decisions.
+    `actions` (T, 9) has the target joint positions in each of T physics steps, 7 arm joints (rad) and 2 fingers (m);
+    `elapsed_time` (T,) the wall-clock time in the receiver's policy in each step (s), zero between decisions.
     """
     arrays: dict[str, Any] = {
         "action": actions,

@@ -249,11 +249,8 @@ def compare_results(stored: EpisodeResult, simulated: EpisodeResult, same_versio
 def check_reports(path: Path) -> tuple[list[Difference], int]:
     """Compare the reports in a result folder with reports that are computed from its result files.
 
-    All differences in `report.json` are reported as one. The report may have fewer scenes than the folder, because it
-    contains only the scenes of the last run.
-
-    Args:
-        path: Result folder. Reports of other versions are not compared. A folder without a report has no differences.
+    All differences in `report.json` are reported as one. Reports of other versions are not compared. The report may
+    have fewer scenes than the folder, because it contains only the scenes of the last run.
 
     Returns:
         The differences, and the number of results in the folder that the report does not contain.
@@ -305,12 +302,9 @@ def _format_value(value: object) -> str:
 
 
 class StoredActions:
-    """Receiver that plays stored actions, one per physics step, and ignores its observations.
+    """Receiver that plays stored actions (T, 9), one per physics step, and ignores its observations.
 
     The last action is held if the episode goes on for longer.
-
-    Args:
-        actions: (T, 9) float32 target joint positions, 7 arm (rad) and 2 fingers (m).
     """
 
     name = "stored actions"

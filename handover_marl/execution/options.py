@@ -138,13 +138,7 @@ def is_pybullet_installed() -> bool:
 
 
 def require_modules(feature: str, extra: str, *modules: str, advice: str = "") -> None:
-    """Check that optional modules are installed.
-
-    Args:
-        feature: Feature that needs the modules, for the message.
-        extra: Extra of this library that installs them.
-        modules: Names of the modules.
-        advice: End of the message, on what to do without them.
+    """Check that optional modules are installed; the error names the feature, their extra and an advice.
 
     Raises:
         OptionError: A module is not installed.
@@ -155,11 +149,7 @@ def require_modules(feature: str, extra: str, *modules: str, advice: str = "") -
 
 
 def require_pybullet(feature: str, advice: str) -> None:
-    """Check that PyBullet is installed.
-
-    Args:
-        feature: Feature that needs PyBullet, for the message.
-        advice: What to do without PyBullet, for the message.
+    """Check that PyBullet is installed; the error names the feature that needs it, and what to do without it.
 
     Raises:
         OptionError: PyBullet is not installed.

@@ -226,14 +226,9 @@ class RayPool:
 def run_ray_task(
     versions: Mapping[str, str], search_path: Sequence[str], job_id: str, pickled_job: bytes, pickled_task: bytes
 ) -> bytes:
-    """Run a task of a job in a worker process of Ray and return its pickled result.
+    """Run a task of a job in a worker process of Ray and return its pickled result, see `run_pickled_task`.
 
-    Args:
-        versions: Versions of the packages on the main process's machine, which this node must have.
-        search_path: Import path of the main process; folders that exist here are searched last.
-        job_id: Unique label of the job.
-        pickled_job: Pair (open_worker, describe) of `Pool.map_unordered`, pickled by `pickle_by_value`.
-        pickled_task: Task, pickled by `pickle_by_value`.
+    The node must have the main machine's `versions` of packages; its import path, `search_path`, is searched last.
     """
     installed = get_installed_versions()
     different = [f"{name} {installed[name]} there, {wanted} here" for name, wanted in versions.items()
@@ -298,7 +293,7 @@ def map_with_progress(
     config: PoolConfig,
     progress: bool,
 ) -> Generator[tuple[Task, Result], None, None]:
-    """Apply a function to tasks in worker processes and yield (task, result) as tasks finish.
+    """Apply a function to tasks in worker processes and yield (task, result) as tasks finish, with a progress bar.
 
     Args:
         make_function: Factory of the function to apply; called once in every worker process.
@@ -306,9 +301,6 @@ def map_with_progress(
         description: Label of the progress bar.
         config: Configuration of the worker pool.
         progress: Whether to show the progress bar on stderr.
-
-    Raises:
-        HandoverError: As `Pool.map_unordered`.
     """
     # Imported here: rich draws random numbers when it is imported, and policies import this module.
     from rich.console import Console

@@ -40,16 +40,13 @@ class ArrayEpisodes:
     """Simulator of episodes of one configuration on arrays, with their rewards, features and action schemes.
 
     An episode equals an episode of a single environment with the wrappers `control_agent` and `encode`. The argument
-    `rows` (r,) of methods contains the indices of the episodes to which a method applies. All arrays are of the
-    simulation's kind: NumPy arrays, or PyTorch tensors on its device.
+    `rows` (r,) of methods contains the indices of the episodes to which a method applies. All arrays are NumPy arrays,
+    or PyTorch tensors on the simulation's device, as its attribute `arrays` creates them.
 
     Args:
         template: Single environment of the configuration, with its wrappers; it is not simulated.
         count: Number of episodes.
         backend: Engine and device of the simulation.
-
-    Attributes:
-        arrays: Creator of the simulation's arrays.
     """
 
     def __init__(self, template: WrappableEnv, count: int, backend: BatchBackend) -> None:
@@ -88,14 +85,10 @@ class ArrayEpisodes:
             self._camera = WarpSensors(config.obs_mode, config.sensors, config.world_config.physics, count, arrays)
 
     def start(self, row: int, scene: Scene, seed: int | None, robot_seed: int, camera_seed: int) -> None:
-        """Start an episode.
+        """Start the episode `row` in a scene.
 
-        Args:
-            row: Index of the episode.
-            scene: Scene of the episode.
-            seed: Run seed, from which the seed of the partner is derived.
-            robot_seed: Seed of the robot's initial joint positions.
-            camera_seed: Seed of the cameras.
+        The seed of the partner is derived from the run seed `seed`; `robot_seed` is that of the initial joint
+        positions.
         """
         episodes, rows = self._episodes, self.arrays.asarray([row])
         episodes.reset(row, scene, robot_seed)
@@ -135,11 +128,9 @@ class ArrayEpisodes:
             scheme.set_outputs(rows[needs], outputs[agent][needs])
 
     def advance(self, rows: AnyIndices, actions: ByAgent) -> None:
-        """Simulate one control period.
+        """Simulate one control period of the running episodes `rows` with actions (r, ...) by agent.
 
-        Args:
-            rows: Indices (r,) of running episodes.
-            actions: Actions (r, ...) by agent; actions of agents with an action scheme are not used.
+        Actions of agents with an action scheme are not used.
         """
         config, episodes, actions = self._base.config, self._episodes, dict(actions)
         for agent, scheme in self._schemes.items():
@@ -156,15 +147,9 @@ class ArrayEpisodes:
         self._rewards.add(rows, actions, terminated, truncated)
 
     def _simulate(self, rows: AnyIndices, actions: ByAgent, steps: int) -> ByAgent:
-        """Simulate up to `steps` physics steps, in which the partner decides at its own control period.
+        """Simulate up to `steps` physics steps of episodes, in which the partner decides at its own control period.
 
-        Args:
-            rows: Indices (r,) of running episodes.
-            actions: Actions (r, ...) by agent.
-            steps: Number of physics steps.
-
-        Returns:
-            The actions of the first physics step, with those of the partner; the giver's are clipped to their bounds.
+        Returns the actions (r, ...) of the first step by agent, with those of the partner; the giver's are clipped.
         """
         episodes, xp, (low, high) = self._episodes, self.arrays.xp, self._giver_limits
         agent = self._partner_agent
@@ -238,34 +223,31 @@ class ArrayEpisodes:
 class ArrayEnvs:
     """Environments of one configuration whose episodes are simulated together; see `batch.Envs`.
 
-    Environment k behaves like a single environment with the wrappers `control_agent` and `encode` that draws
-    the same scenes. Action schemes may need no outputs in the first control periods of an episode,
-    for example while the robot waits. These periods of the next episode are simulated together with
-    the current episode, which is faster than simulating these periods alone after a reset.
+    Environment k behaves like a single environment with the wrappers `control_agent` and `encode` that draws the same
+    scenes. Action schemes may need no outputs in the first control periods of an episode, for example while the robot
+    waits. These periods of the next episode are simulated together with the current episode, which is faster than
+    simulating these periods alone after a reset.
 
     Args:
         template: Single environment of the configuration, with its wrappers; it is not simulated.
         count: Number n of environments.
-        prefetch_episodes: Whether the next episodes may be simulated in advance, because `reset` gets no
-            seed and no options after the end of an episode.
+        prefetches: Whether the next episodes may be simulated in advance, because `reset` gets no seed and no
+            options after the end of an episode.
         load_scene: Function that loads a scene by its number.
         backend: Engine and device of the simulation.
-
-    Attributes:
-        arrays: Creator of the arrays that `reset` and `step` return.
     """
 
     def __init__(
         self,
         template: WrappableEnv,
         count: int,
-        prefetch_episodes: bool,
+        prefetches: bool,
         load_scene: Callable[[int], Scene],
         backend: BatchBackend,
     ) -> None:
         self._load_scene = load_scene
         self._base, self._agents = template.unwrapped, list(template.possible_agents)
-        self._prefetches = prefetch_episodes and isinstance(template, EncodedEnv) and len(self._agents) == 1
+        self._prefetches = prefetches and isinstance(template, EncodedEnv) and len(self._agents) == 1
         self._episodes = ArrayEpisodes(template, count * (1 + self._prefetches), backend)
         self.arrays = self._episodes.arrays
         self._rngs, self._partner_rngs = ([seeding.np_random(None)[0] for _ in range(count)] for _ in range(2))

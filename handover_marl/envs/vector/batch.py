@@ -111,14 +111,7 @@ def make_final_infos(
 ) -> dict[str, Any]:
     """Return an agent's infos in Gymnasium's form about episodes that ended in a step and were reset in it.
 
-    Args:
-        observations: Observations (n, ...) of the agent after the step, before the resets.
-        infos: Infos (n,) of the agent after the step, before the resets.
-        ended: Mask (n,) of the environments that were reset.
-        arrays: Creator of the environments' arrays.
-
-    Returns:
-        Values of the keys "final_obs" and "final_info", and the masks "_final_obs" and "_final_info".
+    Observations (n, ...) and infos (n,) are those after the step, before the resets; `ended` (n,) masks the episodes.
     """
     final_obs = np.full(len(ended), None, dtype=object)
     for row in np.flatnonzero(ended).tolist():
@@ -134,24 +127,18 @@ def _first_array(values: Any) -> AnyArray:
 
 
 class Envs(Protocol):
-    """Interface of environments that are simulated together; `rows` are indices of environments, a NumPy array.
+    """Interface of environments that are simulated together, in arrays that the attribute `arrays` creates.
 
-    Attributes:
-        arrays: Creator of the arrays that `reset` and `step` return.
+    The argument `rows` of methods has indices of environments, a NumPy array.
     """
 
     arrays: ArrayFactory
 
     def reset(self, rows: Indices, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
-        """Start episodes.
+        """Start episodes in the environments `rows` (r,); return their result.
 
-        Args:
-            rows: Indices (r,) of the environments.
-            seeds: Seed of each of these environments; None keeps the state of its random generators.
-            options: Options of `HandoverEnv.reset`, the same for all.
-
-        Returns:
-            Result of the r environments, with rewards of 0.
+        A seed of None keeps the state of an environment's random generators; `options` are those of
+        `HandoverEnv.reset`.
         """
 
     def step(self, rows: Indices, actions: ByAgent) -> EnvResult:
@@ -167,17 +154,10 @@ class Envs(Protocol):
 def check_action_array(
     actions: Any, space: spaces.Space[Any], count: int, agent: str, arrays: ArrayFactory = NUMPY_ARRAYS
 ) -> AnyArray:
-    """Check the actions of an agent in all environments, and return them as float32.
-
-    Args:
-        actions: Actions (count, ...) of the agent.
-        space: Action space of the agent in one environment.
-        count: Number of environments.
-        agent: Name of the agent, for errors.
-        arrays: Creator of the array that is returned; NumPy's takes no tensors of a GPU.
+    """Check the actions (count, ...) of an agent in all environments; return them as float32 in the form of `arrays`.
 
     Raises:
-        ActionError: The actions are not a numeric array of this shape, or not finite.
+        ActionError: The actions are not a numeric array of this shape, not finite, or a tensor on a device for NumPy.
     """
     shape = (count, *(space.shape or ()))
     if is_tensor(actions) and arrays is not NUMPY_ARRAYS:

@@ -19,15 +19,7 @@ from handover_marl.geometry.arrays import NUMPY_ARRAYS, Indices
 
 
 class SingleEnvs:
-    """Environments of one configuration, each simulated on its own; see `batch.Envs`.
-
-    Args:
-        make: Function that makes an environment.
-        count: Number of environments.
-
-    Attributes:
-        envs: The environments.
-    """
+    """Environments of one configuration, `count` of which `make` makes, each simulated on its own; see `batch.Envs`."""
 
     arrays = NUMPY_ARRAYS
 
@@ -122,11 +114,9 @@ class GroupedEnvs:
         self._pool.shutdown()
 
     def _map(self, rows: Indices, function: Callable[[Envs, Indices, Indices], EnvResult]) -> EnvResult:
-        """Call a function for each group with some of the environments `rows` (r,), and join the results.
+        """Call a function for each group with some of the environments `rows` (r,), ascending, and join the results.
 
-        Args:
-            rows: Indices of environments, ascending.
-            function: Function of a group, indices of environments in the group, and the places of these in `rows`.
+        The function gets a group, indices of environments in the group, and the places of these in `rows`.
         """
         numbers = np.searchsorted(self._firsts, rows, side="right") - 1
         futures, all_places = [], [np.flatnonzero(numbers == number) for number in range(len(self._groups))]

@@ -86,7 +86,8 @@ class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Step every environment for one control period, or until its action scheme needs outputs.
 
-        Some action schemes skip decisions; a step then lasts several control periods, whose rewards are summed.
+        Some action schemes skip decisions; a step then lasts several control periods, whose rewards are summed. Errors
+        are those of `ParallelVectorEnv.step`.
 
         Args:
             actions: (n, ...) action of each environment. With the backend "warp", tensors on the device are not copied
@@ -94,10 +95,6 @@ class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
 
         Returns:
             Observations (n, ...), rewards (n,), terminations (n,), truncations (n,), and infos in Gymnasium's form.
-
-        Raises:
-            ActionError: The actions are not an array (n, ...) of finite numbers, or are a tensor with a gradient.
-            ResetNeededError: There was no reset, or a reset or step has failed since.
         """
         observations, rewards, terminated, truncated, infos = (
             part[self._agent] for part in self._envs.step({self._agent: actions})
@@ -229,14 +226,8 @@ def _make_envs(
 ) -> Envs:
     """Make environments, which one thread simulates.
 
-    Args:
-        make_single: Function that makes a single environment, with its wrappers.
-        prefetches: Whether the next episodes may be simulated in advance, because `reset` gets no options after the end
-            of an episode.
-        backend: Engine and device of environments that are simulated together.
-        count: Number of environments.
-        template: Single environment; default: a new one.
-        load_scene: Function that loads a scene by its number; default: a new one with a cache.
+    With `prefetches`, next episodes may be simulated in advance, because `reset` gets no options after the end of an
+    episode. A template and a cache of scenes are made unless they are given.
     """
     template = template or make_single()
     if not _can_use_arrays(template, backend.name):
@@ -270,9 +261,7 @@ def _check_device(template: WrappableEnv, uses_arrays: bool) -> None:
     """Check that environments can be simulated on a device, with the backend "warp".
 
     Raises:
-        OptionError: The environments must be simulated with "threads": for their physics or wrappers, or because
-            a camera has data or noise that only "threads" can simulate, or the partner, a user-defined
-            reward or a user-defined action scheme observes a camera.
+        OptionError: Physics, wrappers, or data, noise or users of a camera need the backend "threads".
     """
     config = template.unwrapped.config
     faults = [

@@ -76,11 +76,9 @@ def build_object_table(episodes: Sequence[EpisodeResult]) -> ReportTable:
 
 
 def build_rate_table(pairs: Sequence[EpisodePair], names: tuple[str, str]) -> ReportTable:
-    """Build the table of outcome rates and AS of two evaluations and of their differences.
+    """Build the table of outcome rates and AS of two evaluations, and of their differences, on the same scenes.
 
-    Args:
-        pairs: Results of the same scenes in both evaluations.
-        names: Names of the evaluations; the second one is subtracted from the first.
+    The second evaluation is subtracted from the first; `names` are for the titles.
     """
     n, sides = len(pairs), list(zip(*pairs, strict=True))
     rows: list[list[object]] = []
@@ -134,11 +132,9 @@ def estimate_fluency(episodes: Iterable[EpisodeResult]) -> dict[str, Estimate]:
 
 
 def build_fluency_difference_table(pairs: Iterable[EpisodePair], names: tuple[str, str]) -> ReportTable:
-    """Build the table of mean differences of fluency metrics; it has no rows if no pair has fluency metrics.
+    """Build the table of mean differences of fluency metrics, first minus second evaluation; it may have no rows.
 
-    Args:
-        pairs: Results of the same scenes in two evaluations. A metric is compared on the scenes where both have it.
-        names: Names of the evaluations; the second one is subtracted from the first.
+    A metric is compared on the scenes where both have it.
     """
     known = [(one.fluency, other.fluency) for one, other in pairs if one.fluency and other.fluency]
     means = {}
@@ -149,12 +145,7 @@ def build_fluency_difference_table(pairs: Iterable[EpisodePair], names: tuple[st
 
 
 def build_fluency_table(means: Mapping[str, Estimate], title: str = "mean") -> ReportTable:
-    """Build the table of means of fluency metrics; it has no rows if there are no means.
-
-    Args:
-        means: Means by key, as `estimate_fluency` returns them.
-        title: Title of the column of means.
-    """
+    """Build the table of means by key, as `estimate_fluency` returns them; it has no rows if there are no means."""
     rows: list[list[object]] = []
     for column in (column for column in (*FLUENCY, LATE, EARLY_GRAB) if column.key in means):
         found = means[column.key]

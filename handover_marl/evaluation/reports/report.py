@@ -287,11 +287,9 @@ def load_report(folder: str | os.PathLike[str]) -> Report:
 
 
 def format_report_files(folder: Path, report: Report) -> dict[str, str]:
-    """Return the contents of a report's files, by file name: JSON, Markdown, web page and CSV of the episodes.
+    """Return the contents of a report's files by name: JSON, Markdown, web page and CSV.
 
-    Args:
-        folder: Result folder; the web page links to the replay pages in it.
-        report: Report to format.
+    The page links to replay pages in the result folder `folder`.
     """
     contents = (
         json.dumps(report.to_json(), indent=2, allow_nan=False) + "\n",
@@ -337,12 +335,7 @@ def _add_scene_info(path: Path, metadata: ResultMetadata, results: Iterable[Epis
 
 
 def render_report_page(report: Report, replays: Mapping[int, str] | None = None) -> str:
-    """Render a report as a self-contained web page, and return it as HTML text.
-
-    Args:
-        report: Report to render.
-        replays: Links to replay pages by scene number, relative to the page.
-    """
+    """Render a report as a self-contained web page (HTML), with relative links to replay pages by scene number."""
     links, metadata = dict(replays or {}), report.metadata
     official, objects, fluency = report.build_tables()
     settings = {key.replace("_", " "): value for key, value in asdict(metadata).items() if value}

@@ -70,11 +70,7 @@ def estimate_rate(statistic: Statistic, flags: Array, families: Sequence[str] | 
 def estimate_difference(statistic: Statistic, first: Array, second: Array, families: Sequence[str] | None) -> Estimate:
     """Estimate the difference of a statistic of two methods, first minus second, paired by partner and scene.
 
-    Args:
-        statistic: Function of returns (policies, partners).
-        first: Scores (policies, partners, scenes) of the first method.
-        second: Scores of the second method with the same partners and scenes; its number of policies may differ.
-        families: Family of every partner, of which the jackknife leaves out one at a time; None leaves out none.
+    The numbers of policies may differ. Arguments are as in `estimate`.
     """
 
     def compute(one: Array, other: Array) -> float:
