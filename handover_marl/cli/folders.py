@@ -25,7 +25,7 @@ from handover_marl.cli.options import (
 )
 from handover_marl.cli.streams import print_tables
 from handover_marl.config import HAND_DOF, OBJECT_DOF, PANDA_DOF
-from handover_marl.errors import HandoverError, OptionError, check_name
+from handover_marl.errors import HandoverError, OptionError
 from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import check_path
 from handover_marl.version import __version__
@@ -86,10 +86,8 @@ def run_verify(
         scenes: Scene numbers to verify, e.g. 209,214; default: all scenes with a result.
         giver: The person's policy; default: the registered policy that the folder names.
     """
-    from handover_marl.evaluation.verification import COLUMNS, verify
+    from handover_marl.evaluation.verification import verify
 
-    for column in tables.columns:
-        check_name("column", column, COLUMNS)
     execution: Any = {"workers": workers, "progress": progress, "trust": trust}
     verification = verify(folder, data_dir=data_dir, scenes=scenes, giver=giver, **execution)
     print_tables(verification, tables, f"Folder: {Path(folder).expanduser()}")
@@ -140,11 +138,9 @@ def run_convert(
         to: Library that writes the data set, Minari or LeRobot.
         name: Name of the new data set, such as handover/reactive-v0.
     """
-    if to == "minari":
-        from handover_marl.evaluation.demonstrations.convert import convert_to_minari as convert
-    else:
-        from handover_marl.evaluation.demonstrations.convert import convert_to_lerobot as convert
+    from handover_marl.evaluation.demonstrations.convert import convert_to_lerobot, convert_to_minari
 
+    convert = convert_to_minari if to == "minari" else convert_to_lerobot
     print(f"Data set: {convert(folder, name)}", flush=True)
 
 
@@ -214,9 +210,8 @@ def run_import(
     """
     from handover_marl.datasets.dexycb.importer import import_dexycb
 
-    report = import_dexycb(
-        dexycb, mano, out, third_party=third_party, scenes=scenes, workers=workers, progress=progress
-    )
+    options: Any = {"third_party": third_party, "scenes": scenes, "workers": workers, "progress": progress}
+    report = import_dexycb(dexycb, mano, out, **options)
     print(f"{report}\n\nData folder: {report.out}", flush=True)
     return int(not report.scenes)
 

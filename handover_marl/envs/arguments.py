@@ -47,9 +47,6 @@ def check_actions(actions: Any, giver_space: spaces.Box) -> tuple[npt.NDArray[np
     unknown = sorted(map(str, actions.keys() - set(AGENTS)))
     if unknown:
         raise ActionError(f"actions must be for {' and '.join(AGENTS)}, got one for {unknown[0]!r}")
-    for agent in AGENTS:
-        if actions.get(agent) is None:
-            raise ActionError(f"actions must have one of the {agent}, got none; [0.0] * 8 of the giver replays")
     giver_action = check_giver_action(actions.get(GIVER), giver_space)
     return check_receiver_action(actions.get(RECEIVER)), giver_action
 

@@ -240,10 +240,10 @@ def _show_progress(
 def _check_same_outcome(stored: EpisodeResult | None, current: EpisodeResult) -> None:
     """Check that an episode, simulated again to record it, ended as in its `stored` result; None skips the check."""
     before, now = (
-        "" if result is None else f"{result.status.label} after {result.steps} steps, release at {result.release_step}"
-        for result in (stored, current)
+        f"{result.status.label} after {result.steps} steps, release at {result.release_step}"
+        for result in (stored or current, current)
     )
-    if before not in ("", now):
+    if before != now:
         raise ResultsError(
             f"replaying scene {current.scene_id} gave another outcome ({before} before, {now} now): a policy is not "
             "deterministic, or the stored result was changed. The stored result is kept; delete all results with "

@@ -44,26 +44,6 @@ _SINGLE_SCENE = (
 )
 
 
-def _open_scene(
-    scene_id: int, receiver: PolicyLike, giver: PolicyLike, options: Any
-) -> tuple[EpisodeRunner, Scene, ExecutionConfig]:
-    """Return the runner of a scene with two policies, the scene, and the configuration of the execution.
-
-    An option that is for many scenes, such as `workers`, is an error.
-    """
-    for name in options:
-        if name in _SINGLE_SCENE:
-            raise OptionError(f"{name} must be left out for one scene, got {options[name]!r}")
-    config, execution = build_configs(None, options, receiver=receiver, giver=giver)
-    dataset = config.open_dataset()
-    policies: Any = {
-        agent: parse_policy(agent, getattr(config, agent), execution.trust).resolve(dataset, config.world_config)
-        for agent in ("receiver", "giver")
-    }
-    runner = EpisodeRunner(set_dataset(replace(config, **policies), dataset))
-    return runner, dataset.load_scene(scene_id), execution
-
-
 def _play(
     runner: EpisodeRunner, scene: Scene, until: int | Callable[[], bool] | None = None, *callbacks: EpisodeCallback
 ) -> int:
@@ -128,8 +108,17 @@ def render_scene(
     check_boolean("caption", caption)
     if isinstance(key_frames, bool) or not isinstance(key_frames, int) or key_frames < 1:
         raise OptionError(f"key_frames must be an integer of at least 1, got {key_frames!r}")
-    runner, scene, execution = _open_scene(scene_id, receiver or "hold", giver, options)
-    config = runner.config
+    for name in options:
+        if name in _SINGLE_SCENE:
+            raise OptionError(f"{name} must be left out for one scene, got {options[name]!r}")
+    config, execution = build_configs(None, options, receiver=receiver or "hold", giver=giver)
+    dataset = config.open_dataset()
+    policies: Any = {
+        agent: parse_policy(agent, getattr(config, agent), execution.trust).resolve(dataset, config.world_config)
+        for agent in ("receiver", "giver")
+    }
+    config = set_dataset(replace(config, **policies), dataset)
+    runner, scene = EpisodeRunner(config), dataset.load_scene(scene_id)
     if view == "wrist":
         resolve_renderer(config.renderer, config.physics)
     until = scene.n_frames + _STILL_SCENE_DURATION_MS if receiver is None else None

@@ -53,8 +53,6 @@ _MAX_REPORT_BYTES = 64_000_000
 # Values that cannot be simulated (wall-clock times and their machine), and those that versions may compute differently.
 _UNVERIFIED, _VERSIONED = ("plan_s", "late_s", "machine", "status"), ("fingerprint", "models")
 _TOLERANCE = 1e-6
-#: Titles of the columns of the table of differences.
-COLUMNS = ("scene id", "value", "stored", "simulated")
 
 
 @dataclass(frozen=True)
@@ -117,7 +115,7 @@ class Verification(TabularResult):
             ""
             if metadata.version == __version__
             else f"Not compared, because version {metadata.version} wrote them: reports and hashes.",
-            ReportTable(COLUMNS, rows, n_keys=2),
+            ReportTable(["scene id", "value", "stored", "simulated"], rows, n_keys=2),
             f"Not equal: {n_changed} of {n} episodes and {n_folder} values of the folder."
             if rows
             else f"Verified: all {n} episodes are equal.",

@@ -4,7 +4,7 @@ import contextlib
 import fcntl
 import io
 import os
-import tempfile
+import secrets
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -134,25 +134,22 @@ def shorten_text(value: object) -> str:
 @contextlib.contextmanager
 def _write_temporary(path: Path, content: bytes | str) -> Iterator[Path]:
     """Yield a temporary file with this content in the folder of `path`; remove it if the caller did not rename it."""
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
     try:
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
-        try:
-            with os.fdopen(handle, "wb") as stream:
-                stream.write(content.encode() if isinstance(content, str) else content)
-                stream.flush()
-                os.fsync(stream.fileno())
-            mask = os.umask(0o077)
-            os.umask(mask)
-            Path(name).chmod(0o666 & ~mask)
-            yield Path(name)
-        finally:
-            Path(name).unlink(missing_ok=True)
+        with temporary.open("xb") as stream:
+            stream.write(content.encode() if isinstance(content, str) else content)
+            stream.flush()
+            os.fsync(stream.fileno())
+        yield temporary
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else None
         raise ResultsError(
             f"cannot write {path} ({reason or error}); finished scenes are kept: free space or fix the "
             "folder, then run the same command again to resume"
         ) from error
+    finally:
+        with contextlib.suppress(OSError, ValueError):
+            temporary.unlink()
 
 
 @contextlib.contextmanager

@@ -145,24 +145,21 @@ class Report(TabularResult):
     def heading(self) -> str:
         """Evaluated scenes, policies, physics, data and code versions of the report."""
         metadata = self.metadata
+        details = [
+            f"wait {metadata.wait_s} s" if metadata.wait_s else "",
+            *([] if metadata.obs_mode == STATE else [f"obs_mode {metadata.obs_mode}", metadata.camera]),
+            "" if metadata.robot == PANDA else f"robot {metadata.robot}",
+            format_inference_time(metadata.inference_time),
+        ]
+        text = ", ".join(filter(None, details))
+        receiver = f"{metadata.receiver} ({text})" if text else metadata.receiver
         without = f" without {metadata.missing_package}" if metadata.missing_package else ""
         hashes = " and ".join(filter(None, (metadata.receiver_hash, metadata.giver_hash)))
         code = f", code {hashes}" if hashes else ""
         return (
-            f"{metadata.setup} {metadata.split}, {self.extent}. Receiver {self.policies_label}, "
+            f"{metadata.setup} {metadata.split}, {self.extent}. Receiver {receiver}, giver {metadata.giver}, "
             f"{metadata.physics} physics{without}, data: {self.data_label}. handover_marl {metadata.version}{code}."
         )
-
-    @property
-    def policies_label(self) -> str:
-        """Description of the receiver (wait, observation mode, robot, inference time) and the giver."""
-        metadata = self.metadata
-        details = [f"wait {metadata.wait_s} s" if metadata.wait_s else ""]
-        details += [] if metadata.obs_mode == STATE else [f"obs_mode {metadata.obs_mode}", metadata.camera]
-        details += [] if metadata.robot == PANDA else [f"robot {metadata.robot}"]
-        details.append(format_inference_time(metadata.inference_time))
-        text = ", ".join(filter(None, details))
-        return f"{metadata.receiver}{f' ({text})' if text else ''}, giver {metadata.giver}"
 
     @property
     def extent(self) -> str:
@@ -372,7 +369,7 @@ def _group_episodes(report: Report, flag: EpisodeStatus) -> dict[str, Any]:
     return {
         "label": flag.label,
         "count": report.count(flag),
-        "percent": f"{100 * report.compute_rate(flag):.1f}",
+        "percent": rate.format(".1f").partition(" ")[0],
         "interval": rate.format_interval(),
         "low": f"{low:.2f}",
         "width": f"{high - low:.2f}",

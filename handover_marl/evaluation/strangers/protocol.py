@@ -102,12 +102,11 @@ def strangers(
     trainings = resolve_policies(agent, policies, dataset, config, execution.trust)
     if len({policy.code_hash for policy in trainings}) < len(trainings):
         raise OptionError(f"{agent} must name different policies, got two with the same code and weights; drop one")
-    others = [found.get_policy(partner) for partner in chosen]
-    givers, receivers = (others, trainings) if agent == "receiver" else (trainings, others)
-    result = crossplay(givers, receivers, config, execution=execution)
-    names, labels = (result.receivers, result.givers) if agent == "receiver" else (result.givers, result.receivers)
+    pair = (trainings, [found.get_policy(partner) for partner in chosen])
+    result = crossplay(*(pair if agent == "giver" else pair[::-1]), config, execution=execution)
+    names, labels = (result.givers, result.receivers) if agent == "giver" else (result.receivers, result.givers)
     reports = {
-        (name, partner.name): result.reports[(label, name) if agent == "receiver" else (name, label)]
+        (name, partner.name): result.reports[(name, label) if agent == "giver" else (label, name)]
         for name in names
         for partner, label in zip(chosen, labels, strict=True)
     }
