@@ -118,15 +118,13 @@ def run_evaluations(
     """Evaluate several configurations in the same worker processes; return one report for each.
 
     Everything is checked, and all folders are prepared, before the first scene. Scenes with a result are not simulated.
+    Errors are those of `benchmark`.
 
     Args:
         parts: For each evaluation the subfolder of the output folder, "" for the folder itself, and the configuration.
         execution: Workers, output folder, replays and time series.
         recorded: Description of further recordings, such as demonstrations; stored in the folders' `config.yaml`.
         make_writer: Function from result folder and resolved configuration to the writer of these recordings.
-
-    Raises:
-        HandoverError: The same errors as `benchmark`.
     """
     reports = []
     with contextlib.closing(open_pool(execution)) as pool:
@@ -214,12 +212,9 @@ def select_shard(shard: str, scenes: Sequence[int]) -> tuple[int, ...]:
 def _show_progress(
     n_scenes: int, stored: Collection[EpisodeResult], enabled: bool
 ) -> Iterator[Callable[[EpisodeResult], None]]:
-    """Show a progress bar with the success rate on stderr; yield a function that adds a finished scene.
+    """Show a progress bar with the success rate on stderr if enabled; yield a function that adds a finished scene.
 
-    Args:
-        n_scenes: Number of scenes.
-        stored: Results of an earlier run in the same folder, which count as finished.
-        enabled: Whether to show anything.
+    Stored results of an earlier run in the same folder count as finished.
     """
     n_finished, n_success = len(stored), sum(result.success for result in stored)
 

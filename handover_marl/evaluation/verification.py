@@ -57,13 +57,9 @@ _TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class Difference:
-    """Value of a result folder that differs from the simulated or computed one.
+    """Value of a result folder that differs from the simulated or computed one (`expected`), both as text.
 
-    Attributes:
-        scene_id: Scene number, or None for a value of the folder's reports and policies.
-        key: Name of the value.
-        stored: Value in the folder, as text.
-        expected: Value that was simulated or computed, as text.
+    The scene number is None for a value of the folder's reports and policies.
     """
 
     scene_id: int | None

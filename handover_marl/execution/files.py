@@ -31,8 +31,7 @@ def write_atomically(path: Path, content: bytes | str) -> None:
 def create_exclusively(path: Path, content: bytes | str) -> None:
     """Write a file atomically, unless it exists already; safe if several processes do it at once.
 
-    Raises:
-        ResultsError: The file cannot be written.
+    Errors are those of `write_atomically`.
     """
     if os.path.lexists(path):
         return
@@ -78,14 +77,10 @@ def exclusive_lock(folder: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def wait_for_lock(path: Path, on_wait: Callable[[], object]) -> Iterator[None]:
-    """Hold a lock file during a `with` block; wait while another process or thread holds it.
+    """Hold a lock file during a `with` block; call `on_wait` once and wait while another process or thread holds it.
 
-    The lock of a process that is killed ends with the process; the empty file stays. In a folder that cannot be
-    written and on a file system without locks this has no effect.
-
-    Args:
-        path: Lock file; its folder must exist.
-        on_wait: Function that is called once before a wait.
+    The lock of a process that is killed ends with the process; the empty file stays. In a folder that cannot be written
+    and on a file system without locks this has no effect.
     """
     try:
         handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)

@@ -24,15 +24,10 @@ _LONGEST_NAME = 255
 def forward_signature(
     *sources: Callable[..., Any], without: tuple[str, ...] = (), defaults: Mapping[str, Any] = MappingProxyType({})
 ) -> Callable[[_Function], _Function]:
-    """Return a decorator that replaces `**keywords` in a signature by the accepted parameters.
+    """Return a decorator that replaces `**keywords` in a signature by the parameters of functions or dataclasses.
 
-    Help, documentation and editors then list these parameters. A call with another keyword raises an
-    `UnknownArgumentError`.
-
-    Args:
-        sources: Functions or dataclasses that receive the keyword arguments.
-        without: Parameters of the sources that are not accepted.
-        defaults: Default values by parameter, in place of the sources' default values.
+    Help, documentation and editors then list these parameters, without those in `without` and with other `defaults`. A
+    call with another keyword raises an `UnknownArgumentError`.
     """
 
     def decorate(function: _Function) -> _Function:

@@ -47,12 +47,8 @@ _CONNECTION_TIMEOUT_S = 20.0
 class Pool:
     """Pool of worker processes on this machine; a single worker is the caller's process.
 
-    Args:
-        n_workers: Number of processes, which is the number of tasks that run at a time.
-
-    Attributes:
-        location: Place where the workers run, e.g. "on a Ray cluster"; empty for this machine.
-        is_remote: Whether workers may run on machines that share no files with the main machine.
+    `n_workers` tasks run at a time. `location` says where, e.g. "on a Ray cluster", and is empty for this machine;
+    `is_remote` whether workers may run on machines that share no files with the main machine.
     """
 
     location: str = ""
@@ -68,8 +64,8 @@ class Pool:
     ) -> Generator[tuple[int, Result], None, None]:
         """Apply a function to tasks and yield (index in `tasks`, result) as tasks finish.
 
-        Functions and classes of scripts and notebooks are sent by value. Closing the generator
-        ends all tasks that still run.
+        Functions and classes of scripts and notebooks are sent by value. Closing the generator ends all tasks that
+        still run.
 
         Args:
             open_worker: Function that returns a context manager, which yields the function to apply; entered once in
@@ -78,8 +74,7 @@ class Pool:
             describe: Short description of a task for messages, such as "simulating scene 209".
 
         Raises:
-            WorkerError: A worker process died, e.g. killed because memory is short, or a task failed with an error that
-                is not one of this library.
+            WorkerError: A worker process died, or a task failed with an error that is not one of this library.
             HandoverError: A task failed with this error of the library.
         """
         if min(self.n_workers, len(tasks)) <= 1:
@@ -140,14 +135,10 @@ def _exit_with_parent(parent: int) -> None:
 
 
 class RayPool:
-    """Pool of workers on a Ray cluster, whose nodes may join and leave; has the methods of `Pool`.
+    """Pool of workers on the Ray cluster at `address`, whose nodes may join and leave; has the methods of `Pool`.
 
-    Each task runs on one core, and once more if its process or node dies. A connection of this process to Ray is
-    used if it exists; a new one lasts as long as the process.
-
-    Args:
-        workers: Number of tasks that run at a time; None: the number of the cluster's cores.
-        address: Address of the cluster, as in `ray.init`.
+    Each task runs on one core, and once more if its process or node dies. A connection of this process to Ray is used
+    if it exists; a new one lasts as long as the process. As many tasks run at a time as there are cores, or `workers`.
     """
 
     location = "on a Ray cluster"

@@ -14,7 +14,7 @@ from loky.backend import get_context
 from handover_marl.envs.vector.batch import EnvResult, Envs, merge_results, select_rows
 from handover_marl.envs.wrappers.wrapper import ByAgent, WrappableEnv
 from handover_marl.errors import WorkerError
-from handover_marl.execution.tasks import make_picklable, pickle_by_value, unpickle
+from handover_marl.execution.tasks import convert_error, pickle_by_value, unpickle
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, Indices
 
 
@@ -212,7 +212,7 @@ def _run_worker(pipe: Connection, pickled: bytes) -> None:
             make, count = unpickle(pickled)
             envs: Envs = make(count)
         except Exception as error:
-            pipe.send(make_picklable(error))
+            pipe.send(convert_error(error, "making environments"))
             return
         pipe.send(None)
         # The modules and models of the process stay: searching them for garbage again and again takes 2 % of the time.
@@ -222,6 +222,6 @@ def _run_worker(pipe: Connection, pickled: bytes) -> None:
             try:
                 result = getattr(envs, name)(*arguments)
             except Exception as error:
-                result = make_picklable(error)
+                result = convert_error(error, name)
             pipe.send(result)
         envs.close()

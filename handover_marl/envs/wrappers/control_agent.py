@@ -20,12 +20,6 @@ class FixedPartnerEnv(ParallelWrapper):
     seeds that are derived from a run seed, which is drawn for each episode. Wrappers of `env` change neither
     observations nor actions of the partner.
 
-    Args:
-        env: Environment with both agents, see `control_agent` for this and the other arguments.
-        agent: Agent that is controlled from outside.
-        partner: Policy of the other agent.
-        trust: Whether a policy file may run code.
-
     Attributes:
         live_agent: Agent that is controlled from outside, "receiver" or "giver".
         partner_agent: Agent that the partner policy acts for.

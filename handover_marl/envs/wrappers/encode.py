@@ -39,20 +39,12 @@ MAX_EPISODES_WITHOUT_OUTPUTS = 100
 
 
 class EncodedEnv(ParallelWrapper):
-    """Wrapper whose observations are feature vectors and whose actions are network outputs.
+    """Wrapper whose observations are feature vectors and whose actions are network outputs, made by `encode`.
 
-    An action scheme decodes an agent's outputs into its actions.
-
-    With one agent a step lasts until the action scheme needs outputs again, mostly one control
-    period, and rewards are summed over the step. An episode in which no outputs are needed is
-    simulated to its end, and another episode follows. Rewards of the control steps that `reset`
-    simulates are not returned. With two agents a step is one control period,
-    and an action scheme that needs no outputs keeps its last outputs. Made by `encode`.
-
-    Args:
-        env: Environment to encode.
-        features: Features, see `encode`; a mapping from agents to features if `env` has two agents.
-        action_scheme: Action scheme, see `encode`; a mapping from agents to schemes if `env` has two agents.
+    With one agent a step lasts until the action scheme, which decodes outputs into actions, needs outputs again, mostly
+    one control period, and rewards are summed over the step. An episode in which no outputs are needed is simulated to
+    its end, and another episode follows. Rewards of the control steps that `reset` simulates are not returned. With two
+    agents a step is one control period, and an action scheme that needs no outputs keeps its last outputs.
 
     Attributes:
         choices: Features and action scheme as they were given, by agent.

@@ -245,13 +245,7 @@ def read_entry(folder: Path) -> dict[str, Any]:
 
 
 def read_report(folder: Path, population: Population) -> StrangersReport:
-    """Compute the report of a folder from its result folders.
-
-    Every value is computed from the results of the episodes; `strangers.json` only lists them.
-
-    Args:
-        folder: Output folder of `strangers`.
-        population: Population of the evaluation.
+    """Compute the report of an output folder of `strangers` with a population from the results of the episodes.
 
     Raises:
         OptionError: The folder is of another population.
