@@ -267,32 +267,24 @@ def check_data_folder(data_dir: Path, progress: bool = False) -> list[Finding]:
     from handover_marl.datasets.splits import N_SCENES
     from handover_marl.geometry.model_files.meshes import check_model
 
-    @functools.cache
-    def find_fault(urdf: Path, n_joints: int) -> str:
-        try:
-            check_model(urdf, n_joints)
-        except HandoverError as error:
-            return str(error)
-        return ""
-
+    check_once = functools.cache(check_model)
     faults, models, n_complete = Counter[str](), Counter[str](), 0
     try:
         dataset = OfficialDataset(data_dir)
     except HandoverError as error:
         return [(_FAULT, "data folder", str(error))]
     for number in track(range(N_SCENES), "scenes", console=Console(stderr=True), disable=not progress, transient=True):
-        found = []
         try:
             scene = dataset.load_scene(number)
-            assets = scene.assets
-            parts = [(assets.table, 0), (assets.panda, PANDA_DOF), (assets.hand, HAND_DOF)]
-            found = [find_fault(*part) for part in (*parts, *((urdf, OBJECT_DOF) for urdf in assets.objects))]
             dataset.load_grasps(scene.info.target_name)
             models[dataset.describe_models(number)] += 1
+            assets = scene.assets
+            parts = [(assets.table, 0), (assets.panda, PANDA_DOF), (assets.hand, HAND_DOF)]
+            for urdf, n_joints in (*parts, *((urdf, OBJECT_DOF) for urdf in assets.objects)):
+                check_once(urdf, n_joints)
+            n_complete += 1
         except HandoverError as error:
-            found.append(str(error))
-        faults.update(filter(None, found))
-        n_complete += not any(found)
+            faults[str(error)] += 1
     listed = "".join(f"\n{'':6}-> {fault}" for fault, _ in faults.most_common(_MAX_LISTED))
     more = f"\n{'':6}-> and {len(faults) - _MAX_LISTED} more" if len(faults) > _MAX_LISTED else ""
     level = _FAULT if n_complete < N_SCENES else "ok"

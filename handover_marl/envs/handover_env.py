@@ -183,7 +183,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         """
         self._check_open()
         # If anything fails below, no episode is running.
-        self._stop()
+        self.agents, self._observation, self._partner = [], None, None
         if seed is not None:
             self.np_random, _ = seeding.np_random(seed)
         scene = self.dataset.load_scene(self.choose_scene(options, self.np_random))
@@ -191,8 +191,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         self._episode.reset(scene, robot_seed)
         self._episode.seed_camera(camera_seed)
         self._cycles = 0
-        observations = self._observe()
-        infos = self._make_infos()
+        observations, infos = self._observe(), self._make_infos()
         transition = self._recorder.start(observations, infos)
         names = self._rewards.start(ONLY_ROW, _make_step_data(transition))
         self.agents = list(AGENTS)
@@ -273,7 +272,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
     def close(self) -> None:
         """Free the simulation; the environment cannot be used afterwards."""
         self._episode.close()
-        self._stop()
+        self.agents, self._observation, self._partner = [], None, None
         self._is_closed = True
 
     def camera_info(self) -> dict[str, CameraInfo]:
@@ -325,10 +324,6 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
     def _check_open(self) -> None:
         if self._is_closed:
             raise ResetNeededError("the environment is closed; make another one")
-
-    def _stop(self) -> None:
-        self.agents = []
-        self._observation = self._partner = None
 
     def _advance(self, actions: dict[str, Action]) -> None:
         """Simulate one control period with actions by agent; a partner's policy decides at its own control period."""

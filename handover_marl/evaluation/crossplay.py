@@ -101,8 +101,7 @@ class CrossPlay(TabularResult):
         report = self._first_report
         metadata, n = report.metadata, len(report.episodes)
         title = f"{metadata.setup} {metadata.split}, {n} episodes a cell\n{report.data_label}, {self._simulation_label}"
-        picture = draw_heat_map(rates, self.givers, self.receivers, title)
-        write_atomically(folder / "crossplay.png", picture)
+        write_atomically(folder / "crossplay.png", draw_heat_map(rates, self.givers, self.receivers, title))
 
     def build_sections(self) -> list[str | ReportTable]:
         """Build heading, matrix of success rates, table of rates, tables of differences between policies, and note."""

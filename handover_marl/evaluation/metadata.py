@@ -167,12 +167,7 @@ def format_config(metadata: ResultMetadata, config: WorldConfig = OFFICIAL_CONFI
 
 
 def format_merged_config(path: Path) -> str:
-    """Return the content of `config.yaml` for the whole evaluation, given the folder of one shard.
-
-    Raises:
-        ResultsError: The shard's `config.yaml` cannot be read.
-    """
-    read_result_metadata(path)
+    """Return the content of `config.yaml` for the whole evaluation, given the folder of one of its shards."""
     content = _read_yaml(path)
     return yaml.safe_dump({**content, _LIBRARY_SECTION: {**content[_LIBRARY_SECTION], "shard": ""}}, sort_keys=False)
 

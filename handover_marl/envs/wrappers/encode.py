@@ -218,12 +218,10 @@ def make_no_outputs_error(agent: str) -> OptionError:
 
 def _complete_choices(argument: str, defaults: dict[str, str], choices: Any, agents: list[str]) -> dict[str, Any]:
     """Return the features or schemes of each agent: those in `choices`, by agent or for the only one, else defaults."""
-    if choices is None:
-        choices = {}
     if not isinstance(choices, Mapping):
-        if len(agents) != 1:
+        if choices is not None and len(agents) != 1:
             raise OptionError(f"{argument} must be a dict by agent for {len(agents)} agents, got {choices!r}")
-        choices = {agents[0]: choices}
+        choices = {} if choices is None else {agents[0]: choices}
     unknown = sorted(map(str, choices.keys() - set(agents)))
     if unknown:
         raise OptionError(f"{argument} must be for {' and '.join(agents)}, got a choice for {unknown[0]!r}")

@@ -102,8 +102,9 @@ def strangers(
     trainings = resolve_policies(agent, policies, dataset, config, execution.trust)
     if len({policy.code_hash for policy in trainings}) < len(trainings):
         raise OptionError(f"{agent} must name different policies, got two with the same code and weights; drop one")
-    pair = (trainings, [found.get_policy(partner) for partner in chosen])
-    result = crossplay(*(pair if agent == "giver" else pair[::-1]), config, execution=execution)
+    others = [found.get_policy(partner) for partner in chosen]
+    givers, receivers = (trainings, others) if agent == "giver" else (others, trainings)
+    result = crossplay(givers, receivers, config, execution=execution)
     names, labels = (result.givers, result.receivers) if agent == "giver" else (result.receivers, result.givers)
     reports = {
         (name, partner.name): result.reports[(name, label) if agent == "giver" else (label, name)]
