@@ -128,7 +128,7 @@ def run_evaluations(
     """
     reports = []
     with contextlib.closing(open_pool(execution)) as pool:
-        prepared = [_prepare(config, execution.for_subfolder(name), recorded) for name, config in parts]
+        prepared = [_prepare(config, execution, name, recorded) for name, config in parts]
         for config, metadata, folder, tasks in prepared:
             writers: list[EpisodeWriter] = []
             if folder is not None:
@@ -164,7 +164,7 @@ def run_evaluations(
 
 
 def _prepare(
-    config: EvaluationConfig, execution: ExecutionConfig, recorded: str
+    config: EvaluationConfig, execution: ExecutionConfig, subfolder: str, recorded: str
 ) -> tuple[EvaluationConfig, ResultMetadata, ResultFolder | None, list[SceneTask]]:
     """Check an evaluation and prepare its folder; return its resolved configuration, identity, folder and scenes."""
     check_name("replays", execution.replays, (REPLAYS_NONE, "failed", REPLAYS_ALL))
@@ -183,7 +183,7 @@ def _prepare(
     folder = None
     if execution.folder is not None:
         text = format_config(metadata, config.world_config)
-        folder = ResultFolder(execution.folder, metadata, text, execution.overwrite)
+        folder = ResultFolder(execution.folder / subfolder, metadata, text, execution.overwrite)
     indices = {scene: index for index, scene in enumerate(split_ids)}
     tasks = [SceneTask(indices[scene], scene, dataset.compute_fingerprint(scene)) for scene in config.scenes or ()]
     return config, metadata, folder, tasks

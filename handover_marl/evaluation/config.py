@@ -116,10 +116,6 @@ class ExecutionConfig(PoolConfig):
         """Path of the output folder, or None if nothing is written."""
         return None if self.out is None else Path(self.out)
 
-    def for_subfolder(self, name: str) -> "ExecutionConfig":
-        """Return a copy whose output folder is the subfolder `name`; the same object if nothing is written."""
-        return self if self.out is None else replace(self, out=str(Path(self.out) / name))
-
 
 def build_configs(
     setup: str | EvaluationConfig | None, options: Any, execution: ExecutionConfig | None = None, **arguments: Any

@@ -23,7 +23,7 @@ from handover_marl.episode.observations import Observation, select_receiver_obse
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.episode.spaces import STATE
 from handover_marl.episode.warp_sensors import WarpSensors
-from handover_marl.geometry.arrays import AnyArray, AnyIndices, AnyIntegers, Indices, to_numpy
+from handover_marl.geometry.arrays import AnyArray, AnyIndices, Indices, to_numpy
 from handover_marl.learning.action_scheme import ArrayScheme
 from handover_marl.learning.array_features import ArrayFeatures
 from handover_marl.learning.features import make_array_features
@@ -164,7 +164,10 @@ class ArrayEpisodes:
             # For NumPy several times as fast as `xp.clip`.
             actions[GIVER] = xp.minimum(xp.maximum(actions[GIVER], low), high)
             first = first or dict(actions)
-            self._advance_until(until, rows, actions)
+            lengths = until - episodes.referees.steps[rows]
+            for length in np.unique(to_numpy(lengths)).tolist():
+                group = xp.nonzero(lengths == length)[0]
+                episodes.advance(rows[group], actions[RECEIVER][group], length, actions[GIVER][group])
             # The control period of the others goes on: their partner's next decision is due.
             referees = episodes.referees
             left = xp.nonzero((referees.status[rows] == 0) & (referees.steps[rows] < ends))[0]
@@ -172,13 +175,6 @@ class ArrayEpisodes:
             if len(rows):
                 episodes.update_state(rows)
         return first or actions
-
-    def _advance_until(self, until: AnyIntegers, rows: AnyIndices, actions: ByAgent) -> None:
-        """Simulate each of the episodes `rows` with constant actions up to its physics step in `until` (r,)."""
-        lengths = until - self._episodes.referees.steps[rows]
-        for length in np.unique(to_numpy(lengths)).tolist():
-            group = self.arrays.xp.nonzero(lengths == length)[0]
-            self._episodes.advance(rows[group], actions[RECEIVER][group], length, actions[GIVER][group])
 
     def make_result(self, rows: AnyIndices) -> EnvResult:
         """Return observations and infos of the episodes `rows`, and their rewards since the last `clear_rewards`."""
@@ -264,8 +260,11 @@ class ArrayEnvs:
             OptionError: Many episodes in a row have ended before outputs were needed.
         """
         for row, seed in zip(rows.tolist(), seeds, strict=True):
-            if seed is not None or options:
-                self._discard_next(row)
+            before = self._rngs_before[row]
+            if (seed is not None or options) and self._next[row] != _NONE and before is not None:
+                # Forget the next episode, as if its scene had not been drawn.
+                self._rngs[row], self._partner_rngs[row] = before
+                self._next[row] = _NONE
             if seed is not None:
                 self._rngs[row], self._partner_rngs[row] = (seeding.np_random(seed)[0] for _ in range(2))
         left, episodes = rows, self._episodes
@@ -290,8 +289,10 @@ class ArrayEnvs:
     def step(self, rows: Indices, actions: ByAgent) -> EnvResult:
         """Let the agents act for one control period, or until an action scheme needs outputs; see `batch.Envs.step`."""
         episodes, current = self._episodes, self.arrays.asarray(self._current[rows])
-        if self._prefetches:
-            self._start_next(rows)
+        for row in rows[self._next[rows] == _NONE].tolist() if self._prefetches else ():
+            self._rngs_before[row] = copy.deepcopy((self._rngs[row], self._partner_rngs[row]))
+            self._start(row, int(self._free[row]), None)
+            self._next[row] = self._free[row]
         episodes.set_outputs(current, actions)
         episodes.clear_rewards(current)
         active = current
@@ -316,17 +317,3 @@ class ArrayEnvs:
         robot_seed, camera_seed = draw_seeds(rng, self._base.config.world_config)
         partner_seed = int(self._partner_rngs[row].integers(2**32))
         self._episodes.start(episode, self._load_scene(scene_id), partner_seed, robot_seed, camera_seed)
-
-    def _start_next(self, rows: Indices) -> None:
-        """Start the next episode of those of the environments `rows` that have no next episode yet."""
-        for row in rows[self._next[rows] == _NONE].tolist():
-            self._rngs_before[row] = copy.deepcopy((self._rngs[row], self._partner_rngs[row]))
-            self._start(row, int(self._free[row]), None)
-            self._next[row] = self._free[row]
-
-    def _discard_next(self, row: int) -> None:
-        """Forget the next episode of the environment `row`, as if its scene had not been drawn."""
-        before = self._rngs_before[row]
-        if self._next[row] != _NONE and before is not None:
-            self._rngs[row], self._partner_rngs[row] = before
-            self._next[row] = _NONE

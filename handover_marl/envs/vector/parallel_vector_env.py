@@ -214,11 +214,10 @@ class ParallelVectorEnv:
 
 def _spread_seeds(seed: int | Sequence[int | None] | None, count: int) -> list[int | None]:
     """Return a seed for each of `count` environments: `seed` + k for number k, its element of a sequence, or None."""
-    if seed is None:
-        return [None] * count
-    if isinstance(seed, (int, np.integer)) and seed >= 0:
-        return list(range(int(seed), int(seed) + count))
-    seeds = list(seed) if isinstance(seed, (Sequence, np.ndarray)) else [seed]
+    if isinstance(seed, (int, np.integer)):
+        seeds: list[Any] = list(range(int(seed), int(seed) + count))
+    else:
+        seeds = [None] * count if seed is None else list(seed) if isinstance(seed, (Sequence, np.ndarray)) else []
     is_valid = all(value is None or (isinstance(value, (int, np.integer)) and value >= 0) for value in seeds)
     if len(seeds) != count or not is_valid:
         raise OptionError(f"seed must be an integer from 0 on or {count} such seeds, got {seed!r}")

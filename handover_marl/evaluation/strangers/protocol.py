@@ -25,7 +25,7 @@ from handover_marl.evaluation.strangers.report import (
     read_report,
 )
 from handover_marl.evaluation.strangers.scores import compute_mean, estimate_difference
-from handover_marl.execution.files import write_atomically
+from handover_marl.execution.files import shorten_text, write_atomically
 from handover_marl.execution.options import check_path, forward_signature, require_modules
 from handover_marl.policies.populations import DEFAULT_POPULATION, load_population
 from handover_marl.policies.reference import PolicyLike
@@ -73,17 +73,16 @@ def strangers(
     if not isinstance(setup, EvaluationConfig):
         options.setdefault("physics", FAST)
     config, execution = build_configs(setup, options, execution, split=split)
-    if config.world_config != OFFICIAL_CONFIG:
-        raise OptionError(
-            "world_config must be the official one for strangers, got another; use crossplay for other worlds and rules"
-        )
-    if config.inference_time is not None:
-        raise OptionError(f"inference_time must be None for strangers, got {config.inference_time}; use crossplay")
+    for name, value, default in (
+        ("world_config", config.world_config, OFFICIAL_CONFIG),
+        ("inference_time", config.inference_time, None),
+        ("shard", execution.shard, None),
+    ):
+        if value != default:
+            raise OptionError(f"{name} must be left out for strangers, got {shorten_text(value)}; use crossplay")
     policies = giver if receiver is None else receiver
     if policies is None or (receiver is not None and giver is not None):
         raise OptionError("pass exactly one of receiver and giver; the population has partners for both")
-    if execution.shard is not None:
-        raise OptionError(f"shard must be left out, got {execution.shard!r}; use workers, or a Ray cluster")
     agent = "receiver" if giver is None else "giver"
     found = load_population(population, execution.trust)
     chosen = found.select(OTHER_AGENT[agent], partners)
