@@ -25,17 +25,6 @@ def has_display() -> bool:
     return not sys.platform.startswith("linux") or bool(os.environ.get("DISPLAY"))
 
 
-def check_positive_integer(name: str, value: object) -> int:
-    """Check that an argument is an integer of at least 1, and return it as int; `name` is for the error.
-
-    Raises:
-        OptionError: The argument is not such an integer.
-    """
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
-        raise OptionError(f"{name} must be an integer of at least 1, got {value!r}")
-    return int(value)
-
-
 def check_actions(actions: Any, giver_space: spaces.Box) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
     """Check the actions of both agents; return the receiver's (9,) and the giver's (8,), clipped, as float32.
 

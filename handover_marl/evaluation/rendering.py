@@ -17,7 +17,7 @@ from handover_marl.evaluation.config import REPLAY, EvaluationConfig, ExecutionC
 from handover_marl.evaluation.episode_runner import EpisodeRunner
 from handover_marl.evaluation.recordings import format_replay_facts
 from handover_marl.execution.files import write_atomically
-from handover_marl.execution.options import check_boolean, forward_signature
+from handover_marl.execution.options import check_boolean, check_positive_integer, forward_signature
 from handover_marl.policies.reference import PolicyLike, parse_policy
 from handover_marl.simulation.camera.renderers import check_rendering, resolve_renderer
 from handover_marl.visualization.pictures import (
@@ -106,8 +106,7 @@ def render_scene(
     if camera is not None:
         check_config("camera", camera, CameraConfig)
     check_boolean("caption", caption)
-    if isinstance(key_frames, bool) or not isinstance(key_frames, int) or key_frames < 1:
-        raise OptionError(f"key_frames must be an integer of at least 1, got {key_frames!r}")
+    check_positive_integer("key_frames", key_frames)
     for name in options:
         if name in _SINGLE_SCENE:
             raise OptionError(f"{name} must be left out for one scene, got {options[name]!r}")

@@ -12,6 +12,7 @@ from types import MappingProxyType
 from typing import Any, TypeVar, cast
 
 import loky
+import numpy as np
 
 from handover_marl.errors import OptionError, UnknownArgumentError
 
@@ -70,11 +71,7 @@ def resolve_worker_count(workers: int | None) -> int:
     Raises:
         OptionError: The number is not an integer of at least 1.
     """
-    if workers is None:
-        return count_available_cores()
-    if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
-        raise OptionError(f"workers must be an integer of at least 1, got {workers!r}")
-    return workers
+    return count_available_cores() if workers is None else check_positive_integer("workers", workers)
 
 
 @dataclass(frozen=True)
@@ -108,6 +105,17 @@ def check_path(name: str, path: object) -> Path:
         return Path(text).expanduser()
     except (TypeError, ValueError, RuntimeError) as error:
         raise OptionError(f"{name} must be a path, got {str(path)[:80]!r} ({error})") from error
+
+
+def check_positive_integer(name: str, value: object) -> int:
+    """Check that an option is an integer of at least 1, and return it as int.
+
+    Raises:
+        OptionError: The option is not such an integer.
+    """
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
+        raise OptionError(f"{name} must be an integer of at least 1, got {value!r}")
+    return int(value)
 
 
 def check_boolean(name: str, value: object) -> None:

@@ -8,7 +8,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 
 from handover_marl.datasets.dataset import Scene
-from handover_marl.envs.arguments import RECEIVER, check_positive_integer
+from handover_marl.envs.arguments import RECEIVER
 from handover_marl.envs.config import EnvConfig, make_env_config
 from handover_marl.envs.custom_rewards import resolve_rewards
 from handover_marl.envs.handover_env import HandoverEnv
@@ -22,7 +22,7 @@ from handover_marl.envs.wrappers.encode import EncodedEnv, encode
 from handover_marl.envs.wrappers.wrapper import EpisodeReturns, WrappableEnv, check_env, list_wrappers
 from handover_marl.episode.spaces import FULL_POINTCLOUD, STATE, parse_obs_mode
 from handover_marl.errors import HandoverError, OptionError, check_name
-from handover_marl.execution.options import count_available_cores, forward_signature
+from handover_marl.execution.options import check_positive_integer, count_available_cores, forward_signature
 from handover_marl.learning.custom_encodings import FeaturesLike, SchemeLike, is_reference
 from handover_marl.policies.reference import PolicyLike
 from handover_marl.simulation.camera.optics import CameraInfo
