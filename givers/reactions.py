@@ -133,7 +133,7 @@ class CooperativeGiver(ArrayGiver):
         self._withdraw(rows, released & ~state["is_withdrawn"][rows], displacement, observation)
         return self.make_actions(
             rows,
-            xp.where(released, 0.0, self.config.rate),
+            rate=xp.where(released, 0.0, self.config.rate),
             displacement=xp.where(released[:, None], state["withdrawal"][rows], displacement),
             rotation=scale * state["rotation"][rows],
             release=~released & self._are_grasped(rows, ~released, near, observation),

@@ -8,7 +8,7 @@ from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
-from handover_marl.envs.arguments import AGENTS
+from handover_marl.envs.agents import AGENTS
 from handover_marl.envs.rewards import (
     REWARDS,
     ArrayTerms,

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
-from handover_marl.envs.arguments import AGENTS
+from handover_marl.envs.agents import AGENTS
 from handover_marl.envs.transition import Transition
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError, check_name

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.envs.arguments import GIVER, RECEIVER
+from handover_marl.envs.agents import GIVER, RECEIVER
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.simulation.world import Contacts

@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium.utils import seeding
 
 from handover_marl.datasets.dataset import Scene
-from handover_marl.envs.arguments import GIVER, RECEIVER
+from handover_marl.envs.agents import GIVER, RECEIVER
 from handover_marl.envs.handover_env import HandoverEnv, draw_seeds
 from handover_marl.envs.vector.batch import EnvResult
 from handover_marl.envs.vector.policy_batches import make_policy_batch

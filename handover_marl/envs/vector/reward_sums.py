@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from handover_marl.envs.arguments import AGENTS, GIVER, RECEIVER
+from handover_marl.envs.agents import AGENTS, GIVER, RECEIVER
 from handover_marl.envs.config import EnvConfig
 from handover_marl.envs.custom_rewards import RewardSource
 from handover_marl.envs.rewards import StepData

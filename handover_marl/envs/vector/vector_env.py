@@ -8,7 +8,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 
 from handover_marl.datasets.dataset import Scene
-from handover_marl.envs.arguments import RECEIVER
+from handover_marl.envs.agents import RECEIVER
 from handover_marl.envs.config import EnvConfig, make_env_config
 from handover_marl.envs.custom_rewards import resolve_rewards
 from handover_marl.envs.handover_env import HandoverEnv

@@ -4,7 +4,7 @@ from typing import Any
 
 from gymnasium.utils import EzPickle, seeding
 
-from handover_marl.envs.arguments import AGENTS, GIVER, RECEIVER
+from handover_marl.envs.agents import AGENTS, GIVER, RECEIVER
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.wrappers.wrapper import Api, ByAgent, ParallelStep, ParallelWrapper, WrappableEnv, convert_api
 from handover_marl.errors import ActionError, OptionError, check_name

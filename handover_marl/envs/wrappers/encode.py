@@ -9,7 +9,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 from gymnasium.utils import EzPickle
 
-from handover_marl.envs.arguments import GIVER, RECEIVER
+from handover_marl.envs.agents import GIVER, RECEIVER
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.wrappers.wrapper import (
     REWARD_PREFIX,
