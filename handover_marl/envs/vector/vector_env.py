@@ -177,7 +177,19 @@ def vector_env(
     """
     check_name("autoreset", autoreset, AUTORESETS)
     chosen_backend = BatchBackend(backend, device)
-    count, threads, processes = _check_counts(num_envs, threads, processes, chosen_backend)
+    check_backend(chosen_backend)
+    count = check_positive_integer("num_envs", num_envs)
+    if count > MAX_ENVS:
+        raise OptionError(f"num_envs must be at most {MAX_ENVS}, got {num_envs}; run several processes")
+    threads = None if threads is None else check_positive_integer("threads", threads)
+    processes = None if processes is None else check_positive_integer("processes", processes)
+    if None not in (threads, processes):
+        raise OptionError(f"pass either threads or processes, not both, got {threads} and {processes}")
+    if backend == WARP and (threads or processes):
+        raise OptionError(
+            f"threads and processes must be left out with backend='warp', got {threads} and {processes}; the device "
+            "simulates all environments together"
+        )
     if agent is None and partner is not None:
         raise OptionError(
             f"partner must be None if both agents are controlled, got {partner!r}; leave it out, or name one agent"
@@ -317,25 +329,3 @@ def _apply_wrapper(wrapper: WrapperFunction, env: WrappableEnv) -> WrappableEnv:
     if wrapped.unwrapped is not env.unwrapped:
         raise OptionError(f"wrappers must wrap the environment that they get, got another one from {wrapper!r}")
     return wrapped
-
-
-def _check_counts(
-    num_envs: int, threads: int | None, processes: int | None, backend: BatchBackend
-) -> tuple[int, int | None, int | None]:
-    """Check the backend, and return the numbers of environments, threads and processes as checked integers."""
-    count = check_positive_integer("num_envs", num_envs)
-    if count > MAX_ENVS:
-        raise OptionError(f"num_envs must be at most {MAX_ENVS}, got {num_envs}; run several processes")
-    threads, processes = (
-        None if number is None else check_positive_integer(name, number)
-        for name, number in (("threads", threads), ("processes", processes))
-    )
-    if threads is not None and processes is not None:
-        raise OptionError(f"pass either threads or processes, not both, got {threads} and {processes}")
-    check_backend(backend)
-    if backend.name == WARP and (threads is not None or processes is not None):
-        raise OptionError(
-            f"threads and processes must be left out with backend='warp', got {threads} and {processes}; the device "
-            "simulates all environments together"
-        )
-    return count, threads, processes
