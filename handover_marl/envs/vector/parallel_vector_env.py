@@ -1,6 +1,7 @@
 """Vector environment in PettingZoo's parallel API, with arrays in place of single values."""
 
 import contextlib
+import os
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NoReturn
@@ -60,7 +61,7 @@ class ParallelVectorEnv:
         self.possible_agents: list[str] = list(template.possible_agents)
         self.scene_ids: tuple[int, ...] = template.unwrapped.scene_ids
         self.metadata: dict[str, Any] = {**template.metadata, "autoreset_mode": autoreset}
-        self._is_closed, self._lock = False, threading.Lock()
+        self._is_closed, self._process, self._lock = False, os.getpid(), threading.Lock()
         # Whether every environment has been reset, and no reset or step has failed since.
         self._is_running = False
         self._ended = np.zeros(num_envs, dtype=bool)
@@ -108,7 +109,7 @@ class ParallelVectorEnv:
         Raises:
             OptionError: The number of seeds or the shape of the mask is wrong, a seed is negative or not an integer,
                 `options` is not a mapping, or no environment is chosen.
-            ResetNeededError: The environments are closed.
+            ResetNeededError: The environments are closed, or were made by another process.
             SimulationError: Another thread is using the environments.
         """
         if options is not None and not isinstance(options, Mapping):
@@ -203,6 +204,9 @@ class ParallelVectorEnv:
         """Check that the environments can be used, and exclude other threads meanwhile."""
         if self._is_closed:
             raise ResetNeededError("the vector environment is closed; make another one")
+        if os.getpid() != self._process:
+            # Threads do not survive a fork, so the simulation would wait for them forever.
+            raise ResetNeededError("the vector environment was made by another process; make it after the fork")
         if not self._lock.acquire(blocking=False):
             raise SimulationError("another thread is using the vector environment; call reset() and step() in turn")
         try:

@@ -2,6 +2,7 @@
 
 import copy
 import multiprocessing
+import os
 import pickle
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -398,3 +399,16 @@ def test_two_threads_at_once_are_refused(three: HandoverVectorEnv, monkeypatch: 
     monkeypatch.setattr(envs, "step", step_twice)
     after, *_ = three.step(STILL)
     np.testing.assert_allclose(after["time"], 0.1, atol=1e-6)
+
+
+@pytest.mark.filterwarnings("ignore:This process")
+def test_an_environment_of_the_parent_process_is_refused_after_a_fork(three: HandoverVectorEnv) -> None:
+    three.reset(seed=0)
+    process = os.fork()
+    if process == 0:
+        try:
+            three.step(STILL)
+        except ResetNeededError:
+            os._exit(7)
+        os._exit(1)
+    assert os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]) == 7
