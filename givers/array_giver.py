@@ -96,24 +96,9 @@ class ArrayGiver(Giver):
         giver.allocate(count, arrays)
         return giver
 
-    def make_actions(
-        self,
-        rows: AnyIndices,
-        rate: float | AnyArray = 0.0,
-        displacement: float | AnyArray = 0.0,
-        rotation: float | AnyArray = 0.0,
-        release: float | AnyArray = 0.0,
-    ) -> Actions:
-        """Make actions (r, 8) of the giver in the episodes `rows`; components are (r, ...), or one for all.
-
-        Args:
-            rows: Indices (r,) of the episodes.
-            rate: Playback rate minus 1.
-            displacement: Set-point (3,) of the wrist's displacement, world frame (m).
-            rotation: Set-point (3,) of the rotation vector about the wrist, world frame (rad).
-            release: Whether to release the object; 1 is yes.
-        """
-        return make_giver_actions(len(rows), rate, displacement, rotation, release, self.arrays)
+    def make_actions(self, rows: AnyIndices, **components: float | AnyArray) -> Actions:
+        """Make actions (r, 8) in the episodes `rows` from their `rate` and so on, see `make_giver_actions`."""
+        return make_giver_actions(len(rows), arrays=self.arrays, **components)
 
     def make_pauses(self, rows: AnyIndices, is_paused: AnyArray) -> Actions:
         """Make actions (r, 8) that pause the recording where `is_paused` (r,) is true, and replay it elsewhere."""

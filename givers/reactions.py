@@ -18,18 +18,10 @@ from handover_marl.policies.batch import Actions
 
 
 class HandoverPoseVariation:
-    """Factors by which n givers scale their deviations; each changes if the gripper has not approached for 2 s.
+    """Factors by which the givers of `count` episodes scale their deviations from the recorded handover pose.
 
-    Args:
-        count: Number n of episodes.
-        arrays: Creator of the arrays.
-
-    Attributes:
-        scale: Factors (n,), from -0.5 to 1, by which givers multiply their deviation from the recorded
-            handover pose; 0 gives the recorded pose.
-        timeout: Time without an approach after which `scale` changes (s).
-        min_approach: Decrease of the distance from gripper to object that counts as an approach (m).
-        scales: Values that `scale` takes one after the other; the first follows the last.
+    A factor, `scale` (n,), takes the values `scales` one after the other: the next if the gripper has not come nearer
+    to the object by `min_approach` (m) for `timeout` (s). The factor 0 gives the recorded pose.
     """
 
     timeout = 2.0
@@ -141,7 +133,7 @@ class CooperativeGiver(ArrayGiver):
         self._withdraw(rows, released & ~state["is_withdrawn"][rows], displacement, observation)
         return self.make_actions(
             rows,
-            xp.where(released, 0.0, self.config.rate),
+            rate=xp.where(released, 0.0, self.config.rate),
             displacement=xp.where(released[:, None], state["withdrawal"][rows], displacement),
             rotation=scale * state["rotation"][rows],
             release=~released & self._are_grasped(rows, ~released, near, observation),

@@ -188,7 +188,7 @@ class NoisyGiver(ArrayGiver):
         noise = np.array([self.rngs[row].standard_normal(7) for row in rows.tolist()])
         steps = self.arrays.asarray(np.sqrt(1.0 - decay**2) * scale * noise)
         deviation = deviations[rows] = decay * deviations[rows] + steps
-        return self.make_actions(rows, deviation[:, 0], deviation[:, 1:4], deviation[:, 4:])
+        return self.make_actions(rows, rate=deviation[:, 0], displacement=deviation[:, 1:4], rotation=deviation[:, 4:])
 
 
 @dataclass(frozen=True)
@@ -342,7 +342,7 @@ class RecordingSpreadGiver(ArrayGiver):
         rate = (self.arrays.xp.exp(config.pace * pace * draws[:, 6]) - 1.0).clip(_MIN_RATE, _MAX_RATE)
         shifts = config.displacement * displacement * draws[:, :3]
         turns = config.rotation * rotation * draws[:, 3:6]
-        return self.make_actions(rows, rate, shifts, turns)
+        return self.make_actions(rows, rate=rate, displacement=shifts, rotation=turns)
 
 
 @functools.cache

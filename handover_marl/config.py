@@ -5,7 +5,7 @@ results exist for these values only. Constants in capitals are fixed by the data
 """
 
 import math
-from dataclasses import Field, dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from numbers import Integral, Real
 from typing import Any, ClassVar
 
@@ -55,6 +55,7 @@ class CheckedConfig:
             value = getattr(self, part.name)
             default = part.default_factory() if callable(part.default_factory) else part.default
             name = f"{part.name} of {type(self).__name__}"
+            limits: tuple[float, float] = part.metadata.get("limits", self.default_limits)
             if part.name in self.any_length:
                 if not isinstance(value, tuple):
                     raise OptionError(f"{name} must be a tuple, got {value!r}")
@@ -65,17 +66,13 @@ class CheckedConfig:
                 if not isinstance(value, str):
                     raise OptionError(f"{name} must be a text, got {value!r}")
             elif isinstance(default, tuple):
-                object.__setattr__(self, part.name, _check_tuple(name, value, len(default), self._get_limits(part)))
+                object.__setattr__(self, part.name, _check_tuple(name, value, len(default), limits))
             else:
-                _check_number(name, value, isinstance(default, int), self._get_limits(part))
+                _check_number(name, value, isinstance(default, int), limits)
         for low, high in self.ordered_fields:
             first, second = getattr(self, low), getattr(self, high)
             if first > second:
                 raise OptionError(f"{low} of {type(self).__name__} must be at most {high}, got {first} and {second}")
-
-    def _get_limits(self, part: Field[Any]) -> tuple[float, float]:
-        limits: tuple[float, float] = part.metadata.get("limits", self.default_limits)
-        return limits
 
 
 def bounded(default: float | tuple[float, ...], low: float, high: float = math.inf) -> Any:

@@ -66,12 +66,7 @@ def suggest_name(name: object, valid: Iterable[str]) -> str:
 
 
 def check_name(kind: str, name: object, valid: Iterable[object]) -> None:
-    """Check that a choice exists; raise an error with all valid ones otherwise.
-
-    Args:
-        kind: Kind of the choice, e.g. "split".
-        name: Name or number to check; values of other types do not exist.
-        valid: Valid names or numbers.
+    """Check that a choice of a `kind` such as "split" exists: a name or number that is one of the valid ones.
 
     Raises:
         UnknownNameError: The choice does not exist.

@@ -1,13 +1,7 @@
 """Registration of the environments with PettingZoo and Gymnasium."""
 
 import gymnasium
-
-from handover_marl.errors import DataNotFoundError
-
-try:
-    import pettingzoo
-except FileNotFoundError as error:
-    raise DataNotFoundError("the working directory does not exist any more; change to another one (cd)") from error
+import pettingzoo
 
 PETTINGZOO_ID = "HandoverMARL/Handover-v0"
 RECEIVER_ID = "HandoverMARL/Receiver-v0"

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from handover_marl.datasets import Dataset, open_dataset
 from handover_marl.episode.camera_observations import SensorConfig
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import EpisodeCallback, PolicyDecision, run_episode
+from handover_marl.episode.loop import run_episode
 from handover_marl.episode.observations import Observation
 from handover_marl.errors import ConformanceError
 from handover_marl.execution.options import is_pybullet_installed
@@ -61,24 +61,13 @@ def check_giver(
     _check("giver", giver, dataset or open_dataset("synthetic"), scenes, steps)
 
 
-class _DecisionRecorder(EpisodeCallback):
-    """Callback that records one agent's actions and the physics steps of its decisions."""
-
-    def __init__(self, agent: str) -> None:
-        self.decisions: list[tuple[int, Action]] = []
-        self._agent = agent
-
-    def on_decision(self, episode: Episode, decision: PolicyDecision) -> None:
-        action = decision.receiver_action if self._agent == "receiver" else decision.giver_action
-        self.decisions.append((episode.steps, action.copy()))
-
-
 class _CheckedPolicy:
-    """Policy wrapper that checks that the policy does not modify its observations."""
+    """Policy wrapper that records times (s) and actions, and checks that the policy does not modify observations."""
 
     def __init__(self, policy: Policy) -> None:
         self._policy, self.name = policy, policy.name
         self.obs_mode = policy.obs_mode
+        self.decisions: list[tuple[float, Action]] = []
 
     def prepare(self, object_names: Sequence[str]) -> None:
         self._policy.prepare(object_names)
@@ -94,6 +83,7 @@ class _CheckedPolicy:
             raise ConformanceError(
                 f"{self.name!r} writes into its observation ({', '.join(changed)}); copy arrays before changing them"
             )
+        self.decisions.append((float(observation["time"][0]), np.array(action)))
         return action
 
     @property
@@ -108,12 +98,12 @@ def _check(agent: str, policy: PolicyLike, dataset: Dataset, scenes: Sequence[in
     episode = Episode(physics, sensors=SensorConfig(renderer=renderer))
     partner = None if agent == "receiver" else parse_policy("receiver", "yang2021").make(dataset)
 
-    def record(live: Policy, scene: int, seed: int) -> list[tuple[int, Action]]:
+    def record(live: Policy, scene: int, seed: int) -> list[tuple[float, Action]]:
         episode.reset(dataset.load_scene(scene))
-        recorder, checked = _DecisionRecorder(agent), _CheckedPolicy(live)
+        checked = _CheckedPolicy(live)
         pair = (checked,) if partner is None else (partner, checked)
-        run_episode(episode, *pair, seed=seed, until=steps, callbacks=[recorder])
-        return recorder.decisions
+        run_episode(episode, *pair, seed=seed, until=steps)
+        return checked.decisions
 
     try:
         used = reference.make(dataset)
@@ -131,12 +121,12 @@ def _check(agent: str, policy: PolicyLike, dataset: Dataset, scenes: Sequence[in
 
 
 def _compare(
-    label: str, scene: int, first: list[tuple[int, Action]], second: list[tuple[int, Action]], when: str
+    label: str, scene: int, first: list[tuple[float, Action]], second: list[tuple[float, Action]], when: str
 ) -> None:
-    for (step, action), (other_step, other) in zip(first, second, strict=False):
-        if step != other_step or not np.array_equal(action, other):
+    for (time, action), (other_time, other) in zip(first, second, strict=False):
+        if time != other_time or not np.array_equal(action, other):
             raise ConformanceError(
-                f"{label!r} returns another action in scene {scene} at step {step} {when}; clear all state in "
+                f"{label!r} returns another action in scene {scene} after {time:.3f} s {when}; clear all state in "
                 "reset(seed), and draw random numbers from a generator that is seeded there"
             )
     if len(first) != len(second):

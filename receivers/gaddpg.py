@@ -74,15 +74,9 @@ GaddpgFunction = Callable[[Array, int], npt.ArrayLike]
 class PointCloudMemory:
     """Memory of the object's last point cloud and of the number of remaining decisions.
 
-    The authors' scripts call the cloud accumulated, but each view replaces the cloud.
-
-    Args:
-        max_steps: Maximum number of decisions of an approach.
-        seed: Seed of the random selection of points, the same in every episode.
-
-    Attributes:
-        remaining: Number of decisions that remain for the approach.
-        cloud: (3, n) float64 points in the robot's base frame (m), without columns before the first view of the object.
+    The authors' scripts call the cloud accumulated, but each view replaces the cloud. The seed of the random selection
+    of points is the same in every episode. `cloud` (3, n) has float64 points in the robot's base frame (m), no columns
+    before the first view of the object.
     """
 
     def __init__(self, max_steps: int = 20, seed: int = 123456) -> None:

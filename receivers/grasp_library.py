@@ -33,16 +33,11 @@ def load_hand_poses(grasps: Callable[[str], Array | None], object_name: str) -> 
 
 
 class GraspTable:
-    """Grasps of object classes in arrays, which are padded to the largest number of grasps of a class.
+    """Grasps of object classes in arrays (c, g, ...), padded with zeros to the largest number of grasps of a class.
 
-    Args:
-        load: Function from a class number to NumPy arrays (g, ...) of the class's g grasps, or None if g is 0; called
-            when a class is needed first.
-        arrays: Creator of the arrays.
-
-    Attributes:
-        arrays: Array (c, g, ...) for each array of `load`, padded with zeros; c is the number of classes found so far.
-        is_grasp: Whether there is a grasp at each place of the arrays, (c, g).
+    There is one of `arrays` for each array that `load` returns for a class number: NumPy arrays (g, ...), or None
+    without grasps; it is called when a class is needed first. `is_grasp` (c, g) says whether there is a grasp at each
+    place.
     """
 
     def __init__(self, load: Callable[[int], tuple[Array, ...] | None], arrays: ArrayFactory = NUMPY_ARRAYS) -> None:

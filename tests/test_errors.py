@@ -74,7 +74,7 @@ def look_up(key: str) -> None:
         (lambda data: receivers.make("yang2021", data), "synthetic", OptionError, r"dataset must be env\.dataset"),
         (lambda mode: make_env(obs_mode=mode), "rgb,depth", UnknownNameError, r"join parts with '\+'"),
         (lambda options: make_env().reset(options=options), {"scene": 105}, OptionError, "'scene_id', got .'scene'"),
-        (step, {"receiver": [0.0] * 9}, ActionError, "one of the giver, got none"),
+        (step, {"receiver": [0.0] * 9}, ActionError, "action of the giver must be 8 numbers, .* got None"),
         (lambda size: givers.make_giver_action(displacement=[0.0] * size), 2, ActionError, "displacement must be 3"),
         (check_receiver_action, None, ActionError, "got None; return them from the policy"),
         (look_up, "nope", PolicyError, "KeyError: 'nope'; the observation has time"),

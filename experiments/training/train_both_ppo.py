@@ -23,7 +23,7 @@ from pair import FEATURES, SCHEMES, PairArgs, write_pair
 from train_receiver_ppo import ActorCritic, Batch, compute_advantages, update
 
 import handover_marl
-from handover_marl.envs.arguments import AGENTS
+from handover_marl.envs.agents import AGENTS
 from handover_marl.learning.adapters.modules import dense_network_from_module
 from handover_marl.learning.training.run_folder import spawn_seeds
 from handover_marl.learning.training.scene_arguments import run_script

@@ -28,7 +28,7 @@ from stable_baselines3.common.logger import Logger, make_output_format
 from stable_baselines3.common.vec_env import VecMonitor
 
 from handover_marl.datasets.splits import select_scenes_evenly
-from handover_marl.envs.arguments import AGENTS
+from handover_marl.envs.agents import AGENTS
 from handover_marl.envs.config import EnvConfig
 from handover_marl.envs.custom_rewards import set_discount
 from handover_marl.envs.vector.vector_env import vector_env

@@ -25,7 +25,7 @@ from handover_marl.cli.options import (
 )
 from handover_marl.cli.streams import print_tables
 from handover_marl.config import HAND_DOF, OBJECT_DOF, PANDA_DOF
-from handover_marl.errors import HandoverError, OptionError, check_name
+from handover_marl.errors import HandoverError, OptionError
 from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import check_path
 from handover_marl.version import __version__
@@ -86,10 +86,8 @@ def run_verify(
         scenes: Scene numbers to verify, e.g. 209,214; default: all scenes with a result.
         giver: The person's policy; default: the registered policy that the folder names.
     """
-    from handover_marl.evaluation.verification import COLUMNS, verify
+    from handover_marl.evaluation.verification import verify
 
-    for column in tables.columns:
-        check_name("column", column, COLUMNS)
     execution: Any = {"workers": workers, "progress": progress, "trust": trust}
     verification = verify(folder, data_dir=data_dir, scenes=scenes, giver=giver, **execution)
     print_tables(verification, tables, f"Folder: {Path(folder).expanduser()}")
@@ -140,11 +138,9 @@ def run_convert(
         to: Library that writes the data set, Minari or LeRobot.
         name: Name of the new data set, such as handover/reactive-v0.
     """
-    if to == "minari":
-        from handover_marl.evaluation.demonstrations.convert import convert_to_minari as convert
-    else:
-        from handover_marl.evaluation.demonstrations.convert import convert_to_lerobot as convert
+    from handover_marl.evaluation.demonstrations.convert import convert_to_lerobot, convert_to_minari
 
+    convert = convert_to_minari if to == "minari" else convert_to_lerobot
     print(f"Data set: {convert(folder, name)}", flush=True)
 
 
@@ -214,9 +210,8 @@ def run_import(
     """
     from handover_marl.datasets.dexycb.importer import import_dexycb
 
-    report = import_dexycb(
-        dexycb, mano, out, third_party=third_party, scenes=scenes, workers=workers, progress=progress
-    )
+    options: Any = {"third_party": third_party, "scenes": scenes, "workers": workers, "progress": progress}
+    report = import_dexycb(dexycb, mano, out, **options)
     print(f"{report}\n\nData folder: {report.out}", flush=True)
     return int(not report.scenes)
 
@@ -272,32 +267,24 @@ def check_data_folder(data_dir: Path, progress: bool = False) -> list[Finding]:
     from handover_marl.datasets.splits import N_SCENES
     from handover_marl.geometry.model_files.meshes import check_model
 
-    @functools.cache
-    def find_fault(urdf: Path, n_joints: int) -> str:
-        try:
-            check_model(urdf, n_joints)
-        except HandoverError as error:
-            return str(error)
-        return ""
-
+    check_once = functools.cache(check_model)
     faults, models, n_complete = Counter[str](), Counter[str](), 0
     try:
         dataset = OfficialDataset(data_dir)
     except HandoverError as error:
         return [(_FAULT, "data folder", str(error))]
     for number in track(range(N_SCENES), "scenes", console=Console(stderr=True), disable=not progress, transient=True):
-        found = []
         try:
             scene = dataset.load_scene(number)
-            assets = scene.assets
-            parts = [(assets.table, 0), (assets.panda, PANDA_DOF), (assets.hand, HAND_DOF)]
-            found = [find_fault(*part) for part in (*parts, *((urdf, OBJECT_DOF) for urdf in assets.objects))]
             dataset.load_grasps(scene.info.target_name)
             models[dataset.describe_models(number)] += 1
+            assets = scene.assets
+            parts = [(assets.table, 0), (assets.panda, PANDA_DOF), (assets.hand, HAND_DOF)]
+            for urdf, n_joints in (*parts, *((urdf, OBJECT_DOF) for urdf in assets.objects)):
+                check_once(urdf, n_joints)
+            n_complete += 1
         except HandoverError as error:
-            found.append(str(error))
-        faults.update(filter(None, found))
-        n_complete += not any(found)
+            faults[str(error)] += 1
     listed = "".join(f"\n{'':6}-> {fault}" for fault, _ in faults.most_common(_MAX_LISTED))
     more = f"\n{'':6}-> and {len(faults) - _MAX_LISTED} more" if len(faults) > _MAX_LISTED else ""
     level = _FAULT if n_complete < N_SCENES else "ok"

@@ -12,7 +12,6 @@ from handover_marl.episode.camera_observations import WRIST_ONLY
 from handover_marl.episode.loop import InferenceTime
 from handover_marl.errors import OptionError
 from handover_marl.evaluation.config import REPLAY, EvaluationConfig, ExecutionConfig
-from handover_marl.simulation.engines import FAST
 
 _Value = TypeVar("_Value")
 # Field of a configuration without an option.
@@ -123,14 +122,6 @@ class SceneArguments(ReceiverArguments):
 
 
 @dataclass(frozen=True)
-class StrangersArguments(SceneArguments):
-    """Options of `strangers` that configure scenes and simulation."""
-
-    physics: str = FAST
-    inference_time: _Hidden[InferenceTime] = None
-
-
-@dataclass(frozen=True)
 class RenderArguments(PairArguments):
     """Options of `render` that configure the scene and the giver."""
 
@@ -151,10 +142,3 @@ class ExecutionArguments(ExecutionConfig):
     def make_config(self) -> ExecutionConfig:
         """Return the options as an `ExecutionConfig`, which checks them."""
         return ExecutionConfig(**{part.name: getattr(self, part.name) for part in fields(self)})
-
-
-@dataclass(frozen=True)
-class StrangersExecutionArguments(ExecutionArguments):
-    """Options of `strangers` that configure workers and output."""
-
-    shard: _Hidden[str | None] = None

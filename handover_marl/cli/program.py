@@ -34,10 +34,7 @@ _SCENE_COMMANDS = (scenes.add_object, scenes.add_motion, scenes.add_split, scene
 
 
 def run_program(arguments: Sequence[str]) -> int:
-    """Run a command and return its exit status.
-
-    Args:
-        arguments: Command and options.
+    """Run a command, given it and its options, and return its exit status.
 
     Raises:
         HandoverError: The command failed.

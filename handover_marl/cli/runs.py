@@ -12,21 +12,17 @@ from handover_marl.cli.options import (
     ReceiverArguments,
     RenderArguments,
     SceneArguments,
-    StrangersArguments,
-    StrangersExecutionArguments,
     TableArguments,
     Trust,
 )
 from handover_marl.cli.streams import print_tables
 from handover_marl.evaluation.config import ExecutionConfig
+from handover_marl.simulation.engines import FAST
 
 _EXECUTION, _VAL_PAIR, _VAL_SCENES = ExecutionArguments(), PairArguments(split="val"), SceneArguments(split="val")
-_STRANGERS, _STRANGERS_EXECUTION, _TABLES = StrangersArguments(), StrangersExecutionArguments(), TableArguments()
-# Fields of `EvaluationConfig` that apply to a single scene.
-_SCENE_FIELDS = (
-    *("dataset", "data_dir", "physics", "robot", "renderer", "camera_model", "camera_noise", "seed", "giver"),
-    "inference_time",
-)
+_STRANGERS, _TABLES = SceneArguments(physics=FAST), TableArguments()
+# Fields of `EvaluationConfig` that do not apply to a single scene, and the receiver, which has an option of its own.
+_SPLIT_FIELDS = {"setup", "split", "scenes", "receiver"}
 _Point = Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")]
 _Names = Annotated[str, tyro.conf.arg(metavar="POLICY,...")]
 _OptionalNames = Annotated[str | None, tyro.conf.arg(metavar="POLICY,...")]
@@ -84,8 +80,8 @@ def run_strangers(
     population: PopulationName = "strangers-v1",
     partners: Literal["train", "test", "all"] = "test",
     n_scenes: int = 36,
-    evaluation: StrangersArguments = _STRANGERS,
-    execution: StrangersExecutionArguments = _STRANGERS_EXECUTION,
+    evaluation: SceneArguments = _STRANGERS,
+    execution: ExecutionArguments = _EXECUTION,
     tables: TableArguments = _TABLES,
 ) -> None:
     """Evaluate a receiver, or a giver, with unseen partners from a population.
@@ -168,7 +164,8 @@ def run_render(
     from handover_marl.config import CameraConfig
     from handover_marl.evaluation.rendering import render_scene
 
-    options: Any = {key: getattr(evaluation.make_config(), key) for key in _SCENE_FIELDS} | {"trust": trust}
+    config = evaluation.make_config()
+    options: Any = {key: value for key, value in vars(config).items() if key not in _SPLIT_FIELDS} | {"trust": trust}
     size, pose = {"width": width, "height": height}, {"position": position, "target": target}
     given = {**size, **pose, "vertical_fov": vertical_fov}
     camera: Any = {name: value for name, value in given.items() if value is not None}

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from handover_marl.config import TIME_STEP, CameraConfig, WorldConfig, check_config
-from handover_marl.envs.arguments import check_positive_integer
 from handover_marl.envs.custom_rewards import RewardLike, resolve_rewards
 from handover_marl.episode.episode import SceneConfig
 from handover_marl.episode.spaces import STATE, has_camera
 from handover_marl.errors import OptionError, check_name
+from handover_marl.execution.options import check_positive_integer
 from handover_marl.simulation.camera.renderers import check_rendering, resolve_renderer
 from handover_marl.simulation.engines import check_physics
 
@@ -74,11 +74,7 @@ class EnvConfig(SceneConfig):
 
 
 def make_env_config(config: EnvConfig | None, fields: Mapping[str, Any]) -> EnvConfig:
-    """Return a given environment configuration, or make one from its fields.
-
-    Args:
-        config: Configuration to return, or None.
-        fields: Fields of `EnvConfig` by name; empty if `config` is given.
+    """Return a given environment configuration, or make one from its fields, which must be empty if it is given.
 
     Raises:
         OptionError: Both `config` and `fields` are given, or a value is out of range.

@@ -8,11 +8,10 @@ from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
-from handover_marl.envs.arguments import AGENTS
+from handover_marl.envs.agents import AGENTS
 from handover_marl.envs.rewards import (
     REWARDS,
     ArrayTerms,
-    RewardSource,
     RewardWeights,
     StepData,
     TermNames,
@@ -114,12 +113,11 @@ def set_discount(rewards: RewardLike, discount: float) -> Any:
     return rewards
 
 
-def make_reward_source(
-    rewards: RewardLike, goal: tuple[float, ...], count: int = 1, arrays: ArrayFactory = NUMPY_ARRAYS
-) -> RewardSource:
-    """Make the object that computes the reward terms of n episodes.
+class RewardSource:
+    """Source of both agents' reward terms in n episodes; the terms of an agent must have different names.
 
-    Each episode gets a deep copy of a reward object, so that episodes do not share its attributes.
+    The argument `rows` (r,) of methods has indices of episodes. Each episode gets a deep copy of a reward object, so
+    that episodes do not share its attributes.
 
     Args:
         rewards: Any value that `rewards` accepts.
@@ -127,33 +125,23 @@ def make_reward_source(
         count: Number n of episodes.
         arrays: Creator of the arrays of the terms' values.
     """
-    found = resolve_rewards(rewards)
-    if isinstance(found, CombinedRewards):
-        return SummedRewardSource(
-            [(weight, make_reward_source(part, goal, count, arrays)) for weight, part in found.parts]
-        )
-    if isinstance(found, RewardWeights):
-        return WeightedRewardSource(found, goal, count, arrays)
-    return CustomRewardSource(
-        [found() if isinstance(found, type) else copy.deepcopy(found) for _ in range(count)], arrays
-    )
 
-
-class SummedRewardSource(RewardSource):
-    """Source of the weighted terms of several rewards; terms of one agent must have different names.
-
-    Args:
-        parts: Pairs of weight and source of terms.
-    """
-
-    def __init__(self, parts: list[tuple[float, RewardSource]]) -> None:
-        self._parts = parts
+    def __init__(
+        self, rewards: RewardLike, goal: tuple[float, ...], count: int = 1, arrays: ArrayFactory = NUMPY_ARRAYS
+    ) -> None:
+        self._parts: list[tuple[float, WeightedRewardSource | CustomRewardSource]] = []
+        for weight, part in _list_parts(rewards):
+            if isinstance(part, RewardWeights):
+                self._parts.append((weight, WeightedRewardSource(part, goal, count, arrays)))
+            else:
+                functions = [part() if isinstance(part, type) else copy.deepcopy(part) for _ in range(count)]
+                self._parts.append((weight, CustomRewardSource(functions, arrays)))
 
     def start(self, rows: AnyIndices, step: StepData) -> TermNames:
-        """Start the episodes `rows`; return the names of the terms by agent. See `RewardSource.start`.
+        """Start the episodes `rows`, whose first states are in `step`; return the names of the terms by agent.
 
         Raises:
-            RewardError: Two parts have a term of the same name.
+            RewardError: Two parts have a term of the same name, or a user-defined reward fails.
         """
         names: dict[str, list[str]] = {agent: [] for agent in AGENTS}
         for _, part in self._parts:
@@ -167,7 +155,11 @@ class SummedRewardSource(RewardSource):
         return names
 
     def compute(self, rows: AnyIndices, step: StepData) -> dict[str, ArrayTerms]:
-        """Return the weighted values (r,) of all parts' terms by agent and name; see `RewardSource.compute`."""
+        """Return the weighted values (r,) of the terms in a control step of the episodes `rows`, by agent and name.
+
+        Raises:
+            RewardError: A user-defined reward fails, or returns a wrong term.
+        """
         terms: dict[str, ArrayTerms] = {agent: {} for agent in AGENTS}
         for weight, part in self._parts:
             for agent, own in part.compute(rows, step).items():
@@ -175,13 +167,19 @@ class SummedRewardSource(RewardSource):
         return terms
 
 
-class CustomRewardSource(RewardSource):
+def _list_parts(rewards: RewardLike, weight: float = 1.0) -> list[tuple[float, Any]]:
+    """Return pairs of weight and `RewardWeights` or function, of which rewards are the weighted sum."""
+    found = resolve_rewards(rewards)
+    if not isinstance(found, CombinedRewards):
+        return [(weight, found)]
+    return [pair for own, part in found.parts for pair in _list_parts(part, weight * own)]
+
+
+class CustomRewardSource:
     """Source of the terms of a user-defined reward function; checks the names and values of the terms.
 
-    Args:
-        functions: Function of a transition for each episode; its method `reset(transition)`, if it has one, is called
-            at the start of an episode.
-        arrays: Creator of the arrays.
+    There is a function of a transition for each episode; its method `reset(transition)`, if it has one, is called at
+    the start of an episode.
     """
 
     def __init__(self, functions: Sequence[CustomReward], arrays: ArrayFactory) -> None:
@@ -190,11 +188,7 @@ class CustomRewardSource(RewardSource):
         self._names: dict[str, list[str]] = {}
 
     def start(self, rows: AnyIndices, step: StepData) -> TermNames:
-        """Start the episodes `rows`; return the names of the terms by agent. See `RewardSource.start`.
-
-        Raises:
-            RewardError: The function fails or returns something else than terms by agent.
-        """
+        """Start the episodes `rows`; return the names of the terms by agent, see `RewardSource.start`."""
         for row, transition in zip(rows.tolist(), step.read_transitions(), strict=True):
             function = self._functions[row]
             reset = getattr(function, "reset", None)
@@ -209,12 +203,7 @@ class CustomRewardSource(RewardSource):
         return self._names
 
     def compute(self, rows: AnyIndices, step: StepData) -> dict[str, ArrayTerms]:
-        """Return the values (r,) of the terms by agent and name; 0 for terms that the function does not return.
-
-        Raises:
-            RewardError: The function fails, or a term is of an unknown agent, has an unknown name, or is
-                no finite number.
-        """
+        """Return the values (r,) of the terms by agent and name; 0 for terms that the function does not return."""
         values = {agent: {name: np.zeros(len(rows)) for name in names} for agent, names in self._names.items()}
         for number, (row, transition) in enumerate(zip(rows.tolist(), step.read_transitions(), strict=True)):
             found = self._run(self._functions[row], transition)

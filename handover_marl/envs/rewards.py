@@ -11,12 +11,11 @@ shaping term over an episode depends only on the first state, so that shaping do
 
 import functools
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
-from handover_marl.envs.arguments import AGENTS
+from handover_marl.envs.agents import AGENTS
 from handover_marl.envs.transition import Transition
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError, check_name
@@ -239,26 +238,10 @@ class StepData:
     read_transitions: Callable[[], Sequence[Transition]]
 
 
-class RewardSource(ABC):
-    """Interface of objects that compute both agents' reward terms in n episodes; `rows` (r,) are indices of these."""
+class WeightedRewardSource:
+    """Source of the library's reward terms (`TERMS`) in `count` episodes, each multiplied by its weight.
 
-    @abstractmethod
-    def start(self, rows: AnyIndices, step: StepData) -> TermNames:
-        """Start the episodes `rows`, whose first states are in `step`; return the names of the terms by agent."""
-
-    @abstractmethod
-    def compute(self, rows: AnyIndices, step: StepData) -> dict[str, ArrayTerms]:
-        """Return the values (r,) of the reward terms in a control step of the episodes `rows`, by agent and name."""
-
-
-class WeightedRewardSource(RewardSource):
-    """Source of the library's reward terms (`TERMS`), each multiplied by its weight.
-
-    Args:
-        weights: Weights of the terms.
-        goal: (3,) position to which the gripper must bring the object, world frame (m).
-        count: Number n of episodes.
-        arrays: Creator of the arrays.
+    `goal` (3,) is the position to which the gripper must bring the object, world frame (m).
     """
 
     def __init__(self, weights: RewardWeights, goal: tuple[float, ...], count: int, arrays: ArrayFactory) -> None:
@@ -269,7 +252,7 @@ class WeightedRewardSource(RewardSource):
         self._states = arrays.full((count, _COUNT, _SIZE), math.nan)
 
     def start(self, rows: AnyIndices, step: StepData) -> TermNames:
-        """Start the episodes `rows`; return the names of the terms by agent. See `RewardSource.start`."""
+        """Start the episodes `rows`; return the names of the terms by agent, see `RewardSource.start`."""
         if self._needs_state:
             self._states[rows] = math.nan
             self._states[rows, -1] = self._summarize(step.read_state(self._needs_forces))

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.envs.arguments import GIVER, RECEIVER
+from handover_marl.envs.agents import GIVER, RECEIVER
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.simulation.world import Contacts
@@ -83,11 +83,9 @@ class TransitionRecorder:
         self._step = 0
 
     def start(self, observations: Observations, infos: Mapping[str, Mapping[str, float]]) -> Transition:
-        """Start an episode; return a transition of one control period in which nothing moves.
+        """Start an episode with its first observations and infos by agent.
 
-        Args:
-            observations: First observations by agent.
-            infos: First infos by agent.
+        Returns a transition of one control period in which nothing moves.
         """
         start = self._last = {agent: copy_read_only(own) for agent, own in observations.items()}
         self._step = 0
@@ -100,11 +98,8 @@ class TransitionRecorder:
     ) -> Transition:
         """Return the transition of a control step and keep its observations for the next one.
 
-        Args:
-            observations: Observations after the step by agent.
-            actions: Actions by agent.
-            outcome: Fields `infos`, `contacts`, `status`, `terminated` and `truncated` of the
-                transition.
+        Observations are those after the step; `outcome` has the transition's fields `infos`, `contacts`, `status`,
+        `terminated` and `truncated`.
         """
         before, after = self._last, {agent: copy_read_only(own) for agent, own in observations.items()}
         duration = float(after[GIVER]["time"][0]) - float(before[GIVER]["time"][0])

@@ -118,19 +118,17 @@ def run_evaluations(
     """Evaluate several configurations in the same worker processes; return one report for each.
 
     Everything is checked, and all folders are prepared, before the first scene. Scenes with a result are not simulated.
+    Errors are those of `benchmark`.
 
     Args:
         parts: For each evaluation the subfolder of the output folder, "" for the folder itself, and the configuration.
         execution: Workers, output folder, replays and time series.
         recorded: Description of further recordings, such as demonstrations; stored in the folders' `config.yaml`.
         make_writer: Function from result folder and resolved configuration to the writer of these recordings.
-
-    Raises:
-        HandoverError: The same errors as `benchmark`.
     """
     reports = []
     with contextlib.closing(open_pool(execution)) as pool:
-        prepared = [_prepare(config, execution.for_subfolder(name), recorded) for name, config in parts]
+        prepared = [_prepare(config, execution, name, recorded) for name, config in parts]
         for config, metadata, folder, tasks in prepared:
             writers: list[EpisodeWriter] = []
             if folder is not None:
@@ -166,7 +164,7 @@ def run_evaluations(
 
 
 def _prepare(
-    config: EvaluationConfig, execution: ExecutionConfig, recorded: str
+    config: EvaluationConfig, execution: ExecutionConfig, subfolder: str, recorded: str
 ) -> tuple[EvaluationConfig, ResultMetadata, ResultFolder | None, list[SceneTask]]:
     """Check an evaluation and prepare its folder; return its resolved configuration, identity, folder and scenes."""
     check_name("replays", execution.replays, (REPLAYS_NONE, "failed", REPLAYS_ALL))
@@ -185,7 +183,7 @@ def _prepare(
     folder = None
     if execution.folder is not None:
         text = format_config(metadata, config.world_config)
-        folder = ResultFolder(execution.folder, metadata, text, execution.overwrite)
+        folder = ResultFolder(execution.folder / subfolder, metadata, text, execution.overwrite)
     indices = {scene: index for index, scene in enumerate(split_ids)}
     tasks = [SceneTask(indices[scene], scene, dataset.compute_fingerprint(scene)) for scene in config.scenes or ()]
     return config, metadata, folder, tasks
@@ -214,12 +212,9 @@ def select_shard(shard: str, scenes: Sequence[int]) -> tuple[int, ...]:
 def _show_progress(
     n_scenes: int, stored: Collection[EpisodeResult], enabled: bool
 ) -> Iterator[Callable[[EpisodeResult], None]]:
-    """Show a progress bar with the success rate on stderr; yield a function that adds a finished scene.
+    """Show a progress bar with the success rate on stderr if enabled; yield a function that adds a finished scene.
 
-    Args:
-        n_scenes: Number of scenes.
-        stored: Results of an earlier run in the same folder, which count as finished.
-        enabled: Whether to show anything.
+    Stored results of an earlier run in the same folder count as finished.
     """
     n_finished, n_success = len(stored), sum(result.success for result in stored)
 
@@ -240,10 +235,10 @@ def _show_progress(
 def _check_same_outcome(stored: EpisodeResult | None, current: EpisodeResult) -> None:
     """Check that an episode, simulated again to record it, ended as in its `stored` result; None skips the check."""
     before, now = (
-        "" if result is None else f"{result.status.label} after {result.steps} steps, release at {result.release_step}"
-        for result in (stored, current)
+        f"{result.status.label} after {result.steps} steps, release at {result.release_step}"
+        for result in (stored or current, current)
     )
-    if before not in ("", now):
+    if before != now:
         raise ResultsError(
             f"replaying scene {current.scene_id} gave another outcome ({before} before, {now} now): a policy is not "
             "deterministic, or the stored result was changed. The stored result is kept; delete all results with "

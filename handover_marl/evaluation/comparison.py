@@ -2,18 +2,33 @@
 
 import functools
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from handover_marl.errors import ResultsError
 from handover_marl.evaluation.reports.episode_tables import (
-    EpisodePair,
-    build_difference_table,
-    build_fluency_difference_table,
-    build_rate_table,
+    SCENE_HEADER,
+    build_fluency_table,
+    count_status,
+    format_scene_cells,
 )
 from handover_marl.evaluation.reports.report import Report, load_report
-from handover_marl.evaluation.reports.tables import ReportTable, TabularResult, estimate_rate
+from handover_marl.evaluation.reports.tables import (
+    AVERAGE_SUCCESS,
+    FLUENCY,
+    N_EPISODES,
+    REPORTED_STATUSES,
+    ReportTable,
+    TabularResult,
+    estimate_average_success,
+    estimate_mean,
+    estimate_paired_difference,
+    estimate_rate,
+    format_percent_rate,
+)
+from handover_marl.evaluation.results import EpisodeResult
 
+# Cells of a scene that identify it, and those of its outcome.
+_SCENE, _OUTCOME = slice(0, 2), slice(4, 7)
 _NOTE = (
     "{n} scenes that both folders have, paired. 95 % intervals: Wilson; differences of rates Agresti and Min; AS and "
     "fluency metrics bootstrap."
@@ -33,7 +48,7 @@ class Comparison(TabularResult):
     second: Report
 
     @functools.cached_property
-    def pairs(self) -> list[EpisodePair]:
+    def pairs(self) -> list[tuple[EpisodeResult, EpisodeResult]]:
         """Results of each common scene in `first` and in `second`, in the split's order."""
         by_index = {result.index: result for result in self.second.episodes}
         return [(result, by_index[result.index]) for result in self.first.episodes if result.index in by_index]
@@ -49,7 +64,7 @@ class Comparison(TabularResult):
 
     def build_sections(self) -> list[str | ReportTable]:
         """Build headings, note and tables: rates, scenes with different outcomes, and fluency metrics."""
-        names, changes = self.names, build_difference_table(self.pairs, self.names)
+        names, changes = self.names, self._build_difference_table()
         n_same = len(self.pairs) - len(changes.rows)
         rate = estimate_rate(n_same, len(self.pairs))
         times = [report.metadata.inference_time or "0 (the person waits)" for report in (self.first, self.second)]
@@ -57,11 +72,50 @@ class Comparison(TabularResult):
             f"{names[0]}: {self.first.heading}\n{names[1]}: {self.second.heading}",
             "" if times[0] == times[1] else f"Inference time differs: {times[0]} and {times[1]}.",
             _NOTE.format(n=len(self.pairs)),
-            build_rate_table(self.pairs, names),
+            self._build_rate_table(),
             f"{n_same} of {len(self.pairs)} scenes have the same outcome: {rate.format('.2f', '.1f')} %.",
             changes,
-            build_fluency_difference_table(self.pairs, names),
+            self._build_fluency_table(),
         ]
+
+    def _build_rate_table(self) -> ReportTable:
+        """Build the table of outcome rates and AS of both evaluations, and of their differences, first minus second."""
+        (first, second), n, sides = self.names, len(self.pairs), list(zip(*self.pairs, strict=True))
+        rows: list[list[object]] = []
+        for flag in REPORTED_STATUSES:
+            cells = [format_percent_rate(count_status(side, flag), n, digits=2) for side in sides]
+            difference = estimate_paired_difference(*([bool(each.status & flag) for each in side] for side in sides))
+            rows.append([flag.label, *cells, difference.format("+.2f"), n])
+        scores = [[result.speed_score for result in side] for side in sides]
+        gain = estimate_mean([one - other for one, other in zip(*scores, strict=True)])
+        if scores[0] == scores[1]:
+            # The bootstrap has no width; as for AS without a success, the interval is that of the success rate.
+            successes = ([result.success for result in side] for side in sides)
+            gain = replace(gain, interval_95=estimate_paired_difference(*successes).interval_95)
+        means = [estimate_average_success(side).format(".2f", ".1f") for side in scores]
+        rows.append([AVERAGE_SUCCESS.key, *means, gain.format("+.2f", "+.1f"), n])
+        titles = [f"{first} %", f"{second} %", f"{first} minus {second}, points"]
+        return ReportTable(["metric", *titles, N_EPISODES.title], rows)
+
+    def _build_difference_table(self) -> ReportTable:
+        """Build the table of scenes with different outcomes."""
+        rows = []
+        for first, second in self.pairs:
+            if first.status != second.status:
+                cells, others = format_scene_cells(first), format_scene_cells(second)
+                outcomes = zip(cells[_OUTCOME], others[_OUTCOME], strict=True)
+                rows.append([*cells[_SCENE], *(cell for pair in outcomes for cell in pair)])
+        titles = [f"{name} {title}" for title in SCENE_HEADER[_OUTCOME] for name in self.names]
+        return ReportTable([*SCENE_HEADER[_SCENE], *titles], rows, split_column=6, n_keys=2)
+
+    def _build_fluency_table(self) -> ReportTable:
+        """Build the table of mean differences of fluency metrics, each on the scenes where both evaluations have it."""
+        known = [(one.fluency, other.fluency) for one, other in self.pairs if one.fluency and other.fluency]
+        means = {}
+        for column in FLUENCY if known else ():
+            values = [(getattr(one, column.key), getattr(other, column.key)) for one, other in known]
+            means[column.key] = estimate_mean([float(one - two) for one, two in values if None not in (one, two)])
+        return build_fluency_table(means, " minus ".join(self.names))
 
 
 def compare(first: str | os.PathLike[str], second: str | os.PathLike[str]) -> Comparison:

@@ -116,21 +116,14 @@ class ExecutionConfig(PoolConfig):
         """Path of the output folder, or None if nothing is written."""
         return None if self.out is None else Path(self.out)
 
-    def for_subfolder(self, name: str) -> "ExecutionConfig":
-        """Return a copy whose output folder is the subfolder `name`; the same object if nothing is written."""
-        return self if self.out is None else replace(self, out=str(Path(self.out) / name))
-
 
 def build_configs(
     setup: str | EvaluationConfig | None, options: Any, execution: ExecutionConfig | None = None, **arguments: Any
 ) -> tuple[EvaluationConfig, ExecutionConfig]:
     """Build the configurations of evaluation and execution from the arguments of a public function.
 
-    Args:
-        setup: Setup, None for the dataset's first, or a whole configuration, which no option may contradict.
-        options: Fields of both configurations by name.
-        execution: Execution configuration, or None to build it from `options`.
-        arguments: Further fields of `EvaluationConfig`, ignored if `setup` is a whole configuration.
+    The setup may be a whole configuration, which no option may contradict, and for which other `arguments` are ignored.
+    Options are fields of both configurations.
 
     Raises:
         TypeError: Unknown option.
@@ -150,14 +143,9 @@ def build_configs(
 
 
 def resolve_config(config: EvaluationConfig, trust: bool = False) -> tuple[EvaluationConfig, Dataset]:
-    """Check the names of a configuration and resolve its scenes and policies.
+    """Check the names of a configuration, and return it with a setup, scenes and `PolicyReference`s, and its dataset.
 
-    Args:
-        config: Configuration whose policies and scenes may still be names or None.
-        trust: Whether policy files may run code.
-
-    Returns:
-        The resolved configuration, with a setup, scenes and `PolicyReference`s, and its dataset.
+    With `trust`, policy files may run code.
 
     Raises:
         UnknownNameError: Unknown setup, split, dataset, robot, physics, renderer or policy.

@@ -101,14 +101,18 @@ class CrossPlay(TabularResult):
         report = self._first_report
         metadata, n = report.metadata, len(report.episodes)
         title = f"{metadata.setup} {metadata.split}, {n} episodes a cell\n{report.data_label}, {self._simulation_label}"
-        picture = draw_heat_map(rates, self.givers, self.receivers, title)
-        write_atomically(folder / "crossplay.png", picture)
+        write_atomically(folder / "crossplay.png", draw_heat_map(rates, self.givers, self.receivers, title))
 
     def build_sections(self) -> list[str | ReportTable]:
         """Build heading, matrix of success rates, table of rates, tables of differences between policies, and note."""
         report = self._first_report
         metadata, baseline = report.metadata, self.givers[0]
         titles = [N_EPISODES.title, "success gain, points", "contact gain, points"]
+        matrix_titles, n = [f"{name}: {RATES[0].title}" for name in self.receivers], len(report.episodes)
+        matrix = [
+            [giver, *(format_percent_rate(self.reports[giver, name].count(SUCCESS), n) for name in self.receivers), n]
+            for giver in self.givers
+        ]
         giver_gains = [
             [giver, baseline, receiver, *self._format_gains((giver, receiver), (baseline, receiver))]
             for giver in self.givers[1:]
@@ -123,7 +127,7 @@ class CrossPlay(TabularResult):
             f"Cross-play on {metadata.setup} {metadata.split}, {report.extent}, "
             f"{self._simulation_label}, data: {report.data_label}.\n"
             "95 % intervals: Wilson for rates, bootstrap for means, Agresti and Min for differences, paired by scene.",
-            self._build_matrix(),
+            ReportTable(["giver", *matrix_titles, N_EPISODES.title], matrix),
             self._build_rate_table(),
             ReportTable(["giver", "other giver", "receiver", *titles], giver_gains, n_keys=3),
             ReportTable(["receiver", "other receiver", "giver", *titles], receiver_gains, n_keys=3),
@@ -138,14 +142,6 @@ class CrossPlay(TabularResult):
     def _simulation_label(self) -> str:
         metadata = self._first_report.metadata
         return ", ".join(filter(None, (f"{metadata.physics} physics", format_inference_time(metadata.inference_time))))
-
-    def _build_matrix(self) -> ReportTable:
-        n = len(self._first_report.episodes)
-        rows = [
-            [giver, *(format_percent_rate(self.reports[giver, name].count(SUCCESS), n) for name in self.receivers), n]
-            for giver in self.givers
-        ]
-        return ReportTable(["giver", *(f"{name}: {RATES[0].title}" for name in self.receivers), N_EPISODES.title], rows)
 
     def _build_rate_table(self) -> ReportTable:
         rows = []

@@ -30,13 +30,9 @@ from handover_marl.policies.reference import PolicyBundle
 
 @dataclass(frozen=True)
 class SceneTask:
-    """Task of a worker: one scene to simulate.
+    """Task of a worker: one scene to simulate, `index` is its position in the split.
 
-    Attributes:
-        index: Position of the scene in its split.
-        scene_id: Scene number.
-        fingerprint: Hash of the scene's data on the main machine, compared before simulation; empty
-            skips the comparison.
+    The `fingerprint` is the hash of the scene's data on the main machine; an empty one is not compared.
     """
 
     index: int
@@ -49,18 +45,11 @@ FinishedEpisode: TypeAlias = tuple[EpisodeResult, tuple[bytes, ...]]
 
 
 class EpisodeRunner:
-    """Simulator of single scenes of an evaluation, in this process.
+    """Simulator of single scenes of an evaluation (resolved configuration), in this process.
 
-    Args:
-        config: Resolved configuration.
-        parallelism: Number and location of the workers as text, stored beside timings.
-        writers: Writers whose recorders observe each episode.
-
-    Attributes:
-        dataset: Dataset of the scenes.
-        receiver: Policy of the receiver.
-        giver: Policy of the giver, or None for the replayed one, which cannot fail and takes no time.
-        episode: Simulation that plays all scenes one after the other; it has the state of the last one.
+    `parallelism` is the number and location of the workers as text, stored beside timings; recorders of the `writers`
+    observe each episode. The giver is None for the replayed one, which cannot fail and takes no time. The `episode`
+    plays all scenes one after the other, and has the state of the last one.
     """
 
     def __init__(self, config: EvaluationConfig, parallelism: str = "", writers: Sequence[EpisodeWriter] = ()) -> None:
@@ -75,11 +64,9 @@ class EpisodeRunner:
         self._recorders = [writer.create_recorder(config, self.receiver) for writer in writers]
 
     def run(self, task: SceneTask, receiver: EpisodePolicy | None = None) -> FinishedEpisode:
-        """Simulate a task's scene to the end of its episode; return the result and the content of each writer's file.
+        """Simulate a scene to the end of its episode; return the result and the content of each writer's file.
 
-        Args:
-            task: Scene to simulate.
-            receiver: Policy to play instead of the configured receiver.
+        A `receiver` plays instead of the configured one.
 
         Raises:
             HandoverError: The scene cannot be simulated, its data differ from the main machine's, or a policy fails.
@@ -127,13 +114,7 @@ class EpisodeRunner:
 def run_episodes(
     config: EvaluationConfig, tasks: Sequence[SceneTask], pool: AnyPool, writers: tuple[EpisodeWriter, ...] = ()
 ) -> Generator[tuple[int, FinishedEpisode], None, None]:
-    """Simulate scenes in workers; yield each episode as soon as it is finished.
-
-    Args:
-        config: Resolved configuration.
-        tasks: Scenes to simulate.
-        pool: Workers; one local worker is this process.
-        writers: Writers whose recorders observe the episodes.
+    """Simulate scenes of a resolved configuration in workers; yield each episode as soon as it is finished.
 
     Returns:
         Generator of pairs (index in `tasks`, finished episode); closing it ends the tasks that still run.

@@ -80,11 +80,7 @@ def _merge_subfolders(paths: Sequence[Path], target: Path, names: Sequence[str])
 
 
 def _read_shards(paths: Sequence[Path]) -> tuple[ResultMetadata, dict[int, Path]]:
-    """Read the folders of all shards of one evaluation.
-
-    Returns:
-        Identity of the whole evaluation, and the result file of every scene by index in the split.
-    """
+    """Return the identity of the whole evaluation of which all shards are in `paths`, and its result files by index."""
     found: dict[int, Path] = {}
     scenes: set[int | None] = set()
     first = _read_identity(paths[0])

@@ -86,13 +86,9 @@ class ResultMetadata:
     def from_config(
         cls, config: EvaluationConfig, recorded: str = "", shard: str = "", n_split_scenes: int = 0
     ) -> "ResultMetadata":
-        """Create the identity of an evaluation from its configuration.
+        """Create the identity of an evaluation from its resolved configuration.
 
-        Args:
-            config: Resolved configuration.
-            recorded: Description of the recordings kept beside the results.
-            shard: Part of the evaluation, e.g. "3/16", or "1/2 of 209,214" of selected scenes.
-            n_split_scenes: Number of scenes in the split; may be left out for an official setup.
+        The number of scenes in the split, `n_split_scenes`, may be left out for an official setup.
         """
         giver, receiver = require_policy_reference(config.giver), require_policy_reference(config.receiver)
         same = ("setup", "split", "physics", "dataset", "robot")
@@ -171,12 +167,7 @@ def format_config(metadata: ResultMetadata, config: WorldConfig = OFFICIAL_CONFI
 
 
 def format_merged_config(path: Path) -> str:
-    """Return the content of `config.yaml` for the whole evaluation, given the folder of one shard.
-
-    Raises:
-        ResultsError: The shard's `config.yaml` cannot be read.
-    """
-    read_result_metadata(path)
+    """Return the content of `config.yaml` for the whole evaluation, given the folder of one of its shards."""
     content = _read_yaml(path)
     return yaml.safe_dump({**content, _LIBRARY_SECTION: {**content[_LIBRARY_SECTION], "shard": ""}}, sort_keys=False)
 

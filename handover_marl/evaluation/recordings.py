@@ -37,9 +37,8 @@ COLUMNS = (
 class ForceRecorder(EpisodeCallback):
     """Recorder of contact forces, with a sample every 20 ms, at the times of an `EpisodeTrace`.
 
-    Attributes:
-        forces: For each sample of the last episode the forces (on object, on the person's hand): the largest sum of
-            the robot's normal forces in one physics step since the previous sample (N).
+    `forces` has for each sample the forces on the object and on the person's hand: the largest sum of the robot's
+    normal forces in one physics step since the previous sample (N).
     """
 
     def on_reset(self, episode: Episode) -> None:
@@ -90,11 +89,9 @@ def format_trace(trace: EpisodeTrace, recorder: ForceRecorder) -> str:
 
 
 def format_replay_facts(config: EvaluationConfig, models: str) -> str:
-    """Return one line of text on data, policies and simulation of a replayed episode, for its page.
+    """Return one line of text on data, policies and simulation of a replayed episode of a resolved configuration.
 
-    Args:
-        config: Resolved configuration of the evaluation.
-        models: Description of substitutes for HandoverSim's models; empty if there are none.
+    Substitutes for HandoverSim's models are described by `models`, which is empty if there are none.
     """
     receiver, giver = require_policy_reference(config.receiver), require_policy_reference(config.giver)
     camera = config.sensors.describe(receiver.obs_mode, config.physics)
@@ -112,11 +109,7 @@ def format_replay_facts(config: EvaluationConfig, models: str) -> str:
 
 
 class ReplayWriter(EpisodeWriter):
-    """Writer of a replay page for each episode, or for each failed episode.
-
-    Args:
-        folder: Result folder of the evaluation.
-        replays: Episodes with a page, "all" or "failed".
+    """Writer of a replay page for each episode, or for each failed episode, in a result folder.
 
     Raises:
         ResultsError: The folder for the pages cannot be created.

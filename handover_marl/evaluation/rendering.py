@@ -17,7 +17,7 @@ from handover_marl.evaluation.config import REPLAY, EvaluationConfig, ExecutionC
 from handover_marl.evaluation.episode_runner import EpisodeRunner
 from handover_marl.evaluation.recordings import format_replay_facts
 from handover_marl.execution.files import write_atomically
-from handover_marl.execution.options import check_boolean, forward_signature
+from handover_marl.execution.options import check_boolean, check_positive_integer, forward_signature
 from handover_marl.policies.reference import PolicyLike, parse_policy
 from handover_marl.simulation.camera.renderers import check_rendering, resolve_renderer
 from handover_marl.visualization.pictures import (
@@ -42,26 +42,6 @@ _STILL_SCENE_DURATION_MS = 500
 _SINGLE_SCENE = (
     *("setup", "split", "scenes", "workers", "ray_address", "shard", "out", "overwrite", "replays", "traces"),
 )
-
-
-def _open_scene(
-    scene_id: int, receiver: PolicyLike, giver: PolicyLike, options: Any
-) -> tuple[EpisodeRunner, Scene, ExecutionConfig]:
-    """Return the runner of a scene with two policies, the scene, and the configuration of the execution.
-
-    An option that is for many scenes, such as `workers`, is an error.
-    """
-    for name in options:
-        if name in _SINGLE_SCENE:
-            raise OptionError(f"{name} must be left out for one scene, got {options[name]!r}")
-    config, execution = build_configs(None, options, receiver=receiver, giver=giver)
-    dataset = config.open_dataset()
-    policies: Any = {
-        agent: parse_policy(agent, getattr(config, agent), execution.trust).resolve(dataset, config.world_config)
-        for agent in ("receiver", "giver")
-    }
-    runner = EpisodeRunner(set_dataset(replace(config, **policies), dataset))
-    return runner, dataset.load_scene(scene_id), execution
 
 
 def _play(
@@ -126,10 +106,18 @@ def render_scene(
     if camera is not None:
         check_config("camera", camera, CameraConfig)
     check_boolean("caption", caption)
-    if isinstance(key_frames, bool) or not isinstance(key_frames, int) or key_frames < 1:
-        raise OptionError(f"key_frames must be an integer of at least 1, got {key_frames!r}")
-    runner, scene, execution = _open_scene(scene_id, receiver or "hold", giver, options)
-    config = runner.config
+    check_positive_integer("key_frames", key_frames)
+    for name in options:
+        if name in _SINGLE_SCENE:
+            raise OptionError(f"{name} must be left out for one scene, got {options[name]!r}")
+    config, execution = build_configs(None, options, receiver=receiver or "hold", giver=giver)
+    dataset = config.open_dataset()
+    policies: Any = {
+        agent: parse_policy(agent, getattr(config, agent), execution.trust).resolve(dataset, config.world_config)
+        for agent in ("receiver", "giver")
+    }
+    config = set_dataset(replace(config, **policies), dataset)
+    runner, scene = EpisodeRunner(config), dataset.load_scene(scene_id)
     if view == "wrist":
         resolve_renderer(config.renderer, config.physics)
     until = scene.n_frames + _STILL_SCENE_DURATION_MS if receiver is None else None

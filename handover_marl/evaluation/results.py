@@ -126,12 +126,10 @@ EpisodeRecorder: TypeAlias = tuple[EpisodeCallback, Callable[[EpisodeResult, Epi
 
 
 class EpisodeWriter(ABC):
-    """Writer of one file for each episode.
+    """Writer of one file for each episode into the folder `path`, which is created if missing.
 
-    The main process writes; worker processes hold a pickled copy, which only creates recorders.
-
-    Args:
-        path: Folder of the files; created if missing. Temporary files of killed processes are removed from it.
+    The main process writes; worker processes hold a pickled copy, which only creates recorders. Temporary files of
+    killed processes are removed.
 
     Raises:
         ResultsError: The folder cannot be created.
@@ -197,13 +195,10 @@ def find_recordings(folder: Path) -> list[Path]:
 
 
 class ResultFolder(EpisodeWriter):
-    """Result folder of one evaluation, and the writer of its official result files.
+    """Result folder of one evaluation, and the writer of its official result files; created if missing.
 
-    Args:
-        path: Path of the folder; created with its parents if missing.
-        metadata: Identity of the evaluation.
-        config: Content of its `config.yaml`; default: the content for an evaluation with the official world and rules.
-        overwrite: Whether to delete the results of an earlier evaluation first.
+    The `config` is the content of its `config.yaml`, by default that for the official world and rules. With
+    `overwrite`, the results of an earlier evaluation are deleted first.
 
     Raises:
         ResultsError: The folder belongs to another evaluation, holds other files, or cannot be written.
@@ -235,14 +230,10 @@ class ResultFolder(EpisodeWriter):
             )
 
     def read(self, index: int, fingerprint: str) -> EpisodeResult | None:
-        """Read the result of a scene; None if the result file is missing or damaged.
-
-        Args:
-            index: Index of the scene in the split.
-            fingerprint: Hash of the scene's present data.
+        """Read the result of a scene by its index in the split; None if the result file is missing or damaged.
 
         Raises:
-            ResultsError: The result was computed from other data.
+            ResultsError: The result was computed from other data: it has another `fingerprint`.
         """
         path = get_result_path(self.path, index)
         try:
@@ -264,10 +255,8 @@ def encode_result(
 ) -> bytes:
     """Return the content of a scene's official result file (`.npz`).
 
-    Args:
-        result: Result of the scene.
-        actions: (T, 9) target joint positions in each of T physics steps, 7 arm joints (rad), 2 fingers (m).
-        elapsed_time: (T,) wall-clock time in the receiver's policy in each step (s), zero between decisions.
+    `actions` (T, 9) has the target joint positions in each of T physics steps, 7 arm joints (rad) and 2 fingers (m);
+    `elapsed_time` (T,) the wall-clock time in the receiver's policy in each step (s), zero between decisions.
     """
     arrays: dict[str, Any] = {
         "action": actions,

@@ -53,19 +53,13 @@ _MAX_REPORT_BYTES = 64_000_000
 # Values that cannot be simulated (wall-clock times and their machine), and those that versions may compute differently.
 _UNVERIFIED, _VERSIONED = ("plan_s", "late_s", "machine", "status"), ("fingerprint", "models")
 _TOLERANCE = 1e-6
-#: Titles of the columns of the table of differences.
-COLUMNS = ("scene id", "value", "stored", "simulated")
 
 
 @dataclass(frozen=True)
 class Difference:
-    """Value of a result folder that differs from the simulated or computed one.
+    """Value of a result folder that differs from the simulated or computed one (`expected`), both as text.
 
-    Attributes:
-        scene_id: Scene number, or None for a value of the folder's reports and policies.
-        key: Name of the value.
-        stored: Value in the folder, as text.
-        expected: Value that was simulated or computed, as text.
+    The scene number is None for a value of the folder's reports and policies.
     """
 
     scene_id: int | None
@@ -117,7 +111,7 @@ class Verification(TabularResult):
             ""
             if metadata.version == __version__
             else f"Not compared, because version {metadata.version} wrote them: reports and hashes.",
-            ReportTable(COLUMNS, rows, n_keys=2),
+            ReportTable(["scene id", "value", "stored", "simulated"], rows, n_keys=2),
             f"Not equal: {n_changed} of {n} episodes and {n_folder} values of the folder."
             if rows
             else f"Verified: all {n} episodes are equal.",
@@ -249,11 +243,8 @@ def compare_results(stored: EpisodeResult, simulated: EpisodeResult, same_versio
 def check_reports(path: Path) -> tuple[list[Difference], int]:
     """Compare the reports in a result folder with reports that are computed from its result files.
 
-    All differences in `report.json` are reported as one. The report may have fewer scenes than the folder, because it
-    contains only the scenes of the last run.
-
-    Args:
-        path: Result folder. Reports of other versions are not compared. A folder without a report has no differences.
+    All differences in `report.json` are reported as one. Reports of other versions are not compared. The report may
+    have fewer scenes than the folder, because it contains only the scenes of the last run.
 
     Returns:
         The differences, and the number of results in the folder that the report does not contain.
@@ -305,12 +296,9 @@ def _format_value(value: object) -> str:
 
 
 class StoredActions:
-    """Receiver that plays stored actions, one per physics step, and ignores its observations.
+    """Receiver that plays stored actions (T, 9), one per physics step, and ignores its observations.
 
     The last action is held if the episode goes on for longer.
-
-    Args:
-        actions: (T, 9) float32 target joint positions, 7 arm (rad) and 2 fingers (m).
     """
 
     name = "stored actions"

@@ -4,7 +4,7 @@ import contextlib
 import fcntl
 import io
 import os
-import tempfile
+import secrets
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -31,8 +31,7 @@ def write_atomically(path: Path, content: bytes | str) -> None:
 def create_exclusively(path: Path, content: bytes | str) -> None:
     """Write a file atomically, unless it exists already; safe if several processes do it at once.
 
-    Raises:
-        ResultsError: The file cannot be written.
+    Errors are those of `write_atomically`.
     """
     if os.path.lexists(path):
         return
@@ -78,14 +77,10 @@ def exclusive_lock(folder: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def wait_for_lock(path: Path, on_wait: Callable[[], object]) -> Iterator[None]:
-    """Hold a lock file during a `with` block; wait while another process or thread holds it.
+    """Hold a lock file during a `with` block; call `on_wait` once and wait while another process or thread holds it.
 
-    The lock of a process that is killed ends with the process; the empty file stays. In a folder that cannot be
-    written and on a file system without locks this has no effect.
-
-    Args:
-        path: Lock file; its folder must exist.
-        on_wait: Function that is called once before a wait.
+    The lock of a process that is killed ends with the process; the empty file stays. In a folder that cannot be written
+    and on a file system without locks this has no effect.
     """
     try:
         handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
@@ -134,25 +129,22 @@ def shorten_text(value: object) -> str:
 @contextlib.contextmanager
 def _write_temporary(path: Path, content: bytes | str) -> Iterator[Path]:
     """Yield a temporary file with this content in the folder of `path`; remove it if the caller did not rename it."""
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
     try:
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
-        try:
-            with os.fdopen(handle, "wb") as stream:
-                stream.write(content.encode() if isinstance(content, str) else content)
-                stream.flush()
-                os.fsync(stream.fileno())
-            mask = os.umask(0o077)
-            os.umask(mask)
-            Path(name).chmod(0o666 & ~mask)
-            yield Path(name)
-        finally:
-            Path(name).unlink(missing_ok=True)
+        with temporary.open("xb") as stream:
+            stream.write(content.encode() if isinstance(content, str) else content)
+            stream.flush()
+            os.fsync(stream.fileno())
+        yield temporary
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else None
         raise ResultsError(
             f"cannot write {path} ({reason or error}); finished scenes are kept: free space or fix the "
             "folder, then run the same command again to resume"
         ) from error
+    finally:
+        with contextlib.suppress(OSError, ValueError):
+            temporary.unlink()
 
 
 @contextlib.contextmanager

@@ -12,6 +12,7 @@ from types import MappingProxyType
 from typing import Any, TypeVar, cast
 
 import loky
+import numpy as np
 
 from handover_marl.errors import OptionError, UnknownArgumentError
 
@@ -24,15 +25,10 @@ _LONGEST_NAME = 255
 def forward_signature(
     *sources: Callable[..., Any], without: tuple[str, ...] = (), defaults: Mapping[str, Any] = MappingProxyType({})
 ) -> Callable[[_Function], _Function]:
-    """Return a decorator that replaces `**keywords` in a signature by the accepted parameters.
+    """Return a decorator that replaces `**keywords` in a signature by the parameters of functions or dataclasses.
 
-    Help, documentation and editors then list these parameters. A call with another keyword raises an
-    `UnknownArgumentError`.
-
-    Args:
-        sources: Functions or dataclasses that receive the keyword arguments.
-        without: Parameters of the sources that are not accepted.
-        defaults: Default values by parameter, in place of the sources' default values.
+    Help, documentation and editors then list these parameters, without those in `without` and with other `defaults`. A
+    call with another keyword raises an `UnknownArgumentError`.
     """
 
     def decorate(function: _Function) -> _Function:
@@ -75,11 +71,7 @@ def resolve_worker_count(workers: int | None) -> int:
     Raises:
         OptionError: The number is not an integer of at least 1.
     """
-    if workers is None:
-        return count_available_cores()
-    if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
-        raise OptionError(f"workers must be an integer of at least 1, got {workers!r}")
-    return workers
+    return count_available_cores() if workers is None else check_positive_integer("workers", workers)
 
 
 @dataclass(frozen=True)
@@ -115,6 +107,17 @@ def check_path(name: str, path: object) -> Path:
         raise OptionError(f"{name} must be a path, got {str(path)[:80]!r} ({error})") from error
 
 
+def check_positive_integer(name: str, value: object) -> int:
+    """Check that an option is an integer of at least 1, and return it as int.
+
+    Raises:
+        OptionError: The option is not such an integer.
+    """
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
+        raise OptionError(f"{name} must be an integer of at least 1, got {value!r}")
+    return int(value)
+
+
 def check_boolean(name: str, value: object) -> None:
     """Check that an option is True or False; text such as "no" would count as true.
 
@@ -138,13 +141,7 @@ def is_pybullet_installed() -> bool:
 
 
 def require_modules(feature: str, extra: str, *modules: str, advice: str = "") -> None:
-    """Check that optional modules are installed.
-
-    Args:
-        feature: Feature that needs the modules, for the message.
-        extra: Extra of this library that installs them.
-        modules: Names of the modules.
-        advice: End of the message, on what to do without them.
+    """Check that optional modules are installed; the error names the feature, their extra and an advice.
 
     Raises:
         OptionError: A module is not installed.
@@ -155,11 +152,7 @@ def require_modules(feature: str, extra: str, *modules: str, advice: str = "") -
 
 
 def require_pybullet(feature: str, advice: str) -> None:
-    """Check that PyBullet is installed.
-
-    Args:
-        feature: Feature that needs PyBullet, for the message.
-        advice: What to do without PyBullet, for the message.
+    """Check that PyBullet is installed; the error names the feature that needs it, and what to do without it.
 
     Raises:
         OptionError: PyBullet is not installed.

@@ -47,12 +47,8 @@ _CONNECTION_TIMEOUT_S = 20.0
 class Pool:
     """Pool of worker processes on this machine; a single worker is the caller's process.
 
-    Args:
-        n_workers: Number of processes, which is the number of tasks that run at a time.
-
-    Attributes:
-        location: Place where the workers run, e.g. "on a Ray cluster"; empty for this machine.
-        is_remote: Whether workers may run on machines that share no files with the main machine.
+    `n_workers` tasks run at a time. `location` says where, e.g. "on a Ray cluster", and is empty for this machine;
+    `is_remote` whether workers may run on machines that share no files with the main machine.
     """
 
     location: str = ""
@@ -68,8 +64,8 @@ class Pool:
     ) -> Generator[tuple[int, Result], None, None]:
         """Apply a function to tasks and yield (index in `tasks`, result) as tasks finish.
 
-        Functions and classes of scripts and notebooks are sent by value. Closing the generator
-        ends all tasks that still run.
+        Functions and classes of scripts and notebooks are sent by value. Closing the generator ends all tasks that
+        still run.
 
         Args:
             open_worker: Function that returns a context manager, which yields the function to apply; entered once in
@@ -78,8 +74,7 @@ class Pool:
             describe: Short description of a task for messages, such as "simulating scene 209".
 
         Raises:
-            WorkerError: A worker process died, e.g. killed because memory is short, or a task failed with an error that
-                is not one of this library.
+            WorkerError: A worker process died, or a task failed with an error that is not one of this library.
             HandoverError: A task failed with this error of the library.
         """
         if min(self.n_workers, len(tasks)) <= 1:
@@ -130,24 +125,21 @@ def _start_worker() -> None:
     the middle of a task.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_exit_with_parent, args=(os.getppid(),), daemon=True).start()
+    parent = os.getppid()
 
+    def exit_with_parent() -> None:
+        while os.getppid() == parent:
+            time.sleep(_PARENT_CHECK_S)
+        os._exit(1)
 
-def _exit_with_parent(parent: int) -> None:
-    while os.getppid() == parent:
-        time.sleep(_PARENT_CHECK_S)
-    os._exit(1)
+    threading.Thread(target=exit_with_parent, daemon=True).start()
 
 
 class RayPool:
-    """Pool of workers on a Ray cluster, whose nodes may join and leave; has the methods of `Pool`.
+    """Pool of workers on the Ray cluster at `address`, whose nodes may join and leave; has the methods of `Pool`.
 
-    Each task runs on one core, and once more if its process or node dies. A connection of this process to Ray is
-    used if it exists; a new one lasts as long as the process.
-
-    Args:
-        workers: Number of tasks that run at a time; None: the number of the cluster's cores.
-        address: Address of the cluster, as in `ray.init`.
+    Each task runs on one core, and once more if its process or node dies. A connection of this process to Ray is used
+    if it exists; a new one lasts as long as the process. As many tasks run at a time as there are cores, or `workers`.
     """
 
     location = "on a Ray cluster"
@@ -226,14 +218,9 @@ class RayPool:
 def run_ray_task(
     versions: Mapping[str, str], search_path: Sequence[str], job_id: str, pickled_job: bytes, pickled_task: bytes
 ) -> bytes:
-    """Run a task of a job in a worker process of Ray and return its pickled result.
+    """Run a task of a job in a worker process of Ray and return its pickled result, see `run_pickled_task`.
 
-    Args:
-        versions: Versions of the packages on the main process's machine, which this node must have.
-        search_path: Import path of the main process; folders that exist here are searched last.
-        job_id: Unique label of the job.
-        pickled_job: Pair (open_worker, describe) of `Pool.map_unordered`, pickled by `pickle_by_value`.
-        pickled_task: Task, pickled by `pickle_by_value`.
+    The node must have the main machine's `versions` of packages; its import path, `search_path`, is searched last.
     """
     installed = get_installed_versions()
     different = [f"{name} {installed[name]} there, {wanted} here" for name, wanted in versions.items()
@@ -298,7 +285,7 @@ def map_with_progress(
     config: PoolConfig,
     progress: bool,
 ) -> Generator[tuple[Task, Result], None, None]:
-    """Apply a function to tasks in worker processes and yield (task, result) as tasks finish.
+    """Apply a function to tasks in worker processes and yield (task, result) as tasks finish, with a progress bar.
 
     Args:
         make_function: Factory of the function to apply; called once in every worker process.
@@ -306,9 +293,6 @@ def map_with_progress(
         description: Label of the progress bar.
         config: Configuration of the worker pool.
         progress: Whether to show the progress bar on stderr.
-
-    Raises:
-        HandoverError: As `Pool.map_unordered`.
     """
     # Imported here: rich draws random numbers when it is imported, and policies import this module.
     from rich.console import Console

@@ -25,13 +25,9 @@ _MAX_ARCHIVE_OVERHEAD = 1_000_000  # bytes that an archive may have beyond its c
 
 
 def check_plain_file(path: Path, largest: int = MAX_FILE_BYTES) -> int:
-    """Check that a path is a plain file that is not too large, and return its size (bytes).
+    """Check that a path is a plain file, or a link to one, of at most `largest` bytes; return its size (bytes).
 
     Call it before code that opens the path itself.
-
-    Args:
-        path: File, or symbolic link to a file.
-        largest: Largest allowed size (bytes).
 
     Raises:
         ValueError: The path is a folder, pipe, socket or device, or the file is too large.
@@ -53,11 +49,7 @@ def read_plain_file(path: Path, largest: int = MAX_FILE_BYTES) -> bytes:
 
 
 def check_archive(source: Path | bytes, largest: int) -> None:
-    """Check that a zip archive unpacks to at most `largest` bytes, by the file sizes that the archive states.
-
-    Args:
-        source: Archive file, or its content.
-        largest: Largest allowed size after unpacking (bytes).
+    """Check that a zip archive, a file or its content, states file sizes of at most `largest` bytes in all.
 
     Raises:
         ValueError: The file is not a plain file, or too large.
@@ -94,11 +86,7 @@ def read_arrays(
 
 
 def read_yaml(path: Path, largest: int) -> object:
-    """Return the content of a YAML file of numbers, text, lists and mappings, without aliases.
-
-    Args:
-        path: The file.
-        largest: Largest allowed size (bytes).
+    """Return the content of a YAML file of at most `largest` bytes: numbers, text, lists and mappings, without aliases.
 
     Raises:
         ValueError: The file is not a plain file, is too large, or is not YAML.

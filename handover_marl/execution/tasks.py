@@ -43,10 +43,7 @@ def unpickle(pickled: bytes) -> Any:
 def run_pickled_task(job_id: str, pickled_job: bytes, pickled_task: bytes) -> bytes:
     """Run a task of a job in the current process and return its result, or the error that ended it, pickled.
 
-    Args:
-        job_id: Unique label of the job; the resources of another job are freed.
-        pickled_job: Job, the pair (open_worker, describe), pickled by `pickle_by_value`.
-        pickled_task: Task, pickled by `pickle_by_value`.
+    A job is a pair (open_worker, describe); the resources of another job are freed.
     """
     state, description = _ProcessState, "a task"
     try:
@@ -60,15 +57,20 @@ def run_pickled_task(job_id: str, pickled_job: bytes, pickled_task: bytes) -> by
         if state.function is None:
             state.function = state.resources.enter_context(open_worker())
         answer: object = state.function(task)
-    except PolicyError as error:
-        # The cause is lost when an exception is pickled, so its traceback goes into the text.
-        answer = PolicyError(f"{error}\n{traceback.format_exc()}")
-    except HandoverError as error:
-        answer = error
     except Exception as error:
-        # As text, since the class of a foreign exception may not exist in the main process.
-        answer = WorkerError(f"{description}: {type(error).__name__}: {error}\n{traceback.format_exc()}")
+        answer = convert_error(error, description)
     return pickle_result(answer)
+
+
+def convert_error(error: Exception, description: str) -> HandoverError:
+    """Return an error that is being handled as one that can be pickled; `description` says what has failed."""
+    # The cause is lost when an exception is pickled, so its traceback goes into the text.
+    if isinstance(error, PolicyError):
+        return PolicyError(f"{error}\n{traceback.format_exc()}")
+    if isinstance(error, HandoverError):
+        return error
+    # As text, since the class of a foreign exception may not exist in the main process.
+    return WorkerError(f"{description}: {type(error).__name__}: {error}\n{traceback.format_exc()}")
 
 
 def pickle_result(result: object) -> bytes:
@@ -90,12 +92,3 @@ def unpickle_result(pickled: bytes) -> Any:
     if isinstance(result, HandoverError):
         raise result
     return result
-
-
-def make_picklable(error: Exception) -> Exception:
-    """Return an error, or a `WorkerError` with its message if the error cannot be pickled."""
-    try:
-        pickle.loads(pickle.dumps(error))
-    except Exception:
-        return WorkerError(f"{type(error).__name__}: {error}")
-    return error

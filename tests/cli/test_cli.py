@@ -52,7 +52,6 @@ def test_benchmark_and_report(
         (["benchmark", "--dataset", "dexycb"], "HANDOVER_MARL_DATA"),
         (["benchmark", "--data-dir", "/nowhere"], "/nowhere does not exist"),
         (["benchmark", "--data-dir", __file__], "test_cli.py is a file, not a folder"),
-        (["verify", "/nowhere", "--columns", "count"], "unknown column 'count'; valid: scene id, value"),
         (["benchmark", "--receiver", "nobody"], "unknown receiver 'nobody'; valid: dagger, gaddpg"),
         (["evaluate-pair", "--physics", "nuclear"], "unknown physics 'nuclear'; valid: exact"),
         (["report", "/nowhere"], "/nowhere does not exist"),

@@ -82,7 +82,7 @@ def test_infos_fit_into_vector_environments(fake_data: Path, monkeypatch: pytest
 @pytest.mark.parametrize(
     ("agent", "partner", "error", "message"),
     [
-        ("giver", "replay", OptionError, "must be a receiver, because the giver is controlled, .* agent='receiver'"),
+        ("giver", "replay", UnknownNameError, "unknown receiver 'replay'"),
         ("robot", None, UnknownNameError, "agent"),
         ("receiver", dict, OptionError, r"must be a subclass of handover_marl\.givers\.Giver"),
     ],

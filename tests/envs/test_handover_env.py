@@ -8,7 +8,7 @@ import pytest
 import handover_marl
 from handover_marl import parallel_env
 from handover_marl.config import CameraConfig, PandaConfig, ProtocolConfig, WorldConfig
-from handover_marl.envs.arguments import AGENTS
+from handover_marl.envs.agents import AGENTS
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.rewards import SHAPED
 from handover_marl.episode.referee import RELEASE_REASONS, EpisodeStatus, ReleaseReason

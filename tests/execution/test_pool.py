@@ -2,8 +2,6 @@
 
 import os
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from contextlib import closing, contextmanager, nullcontext
@@ -117,15 +115,6 @@ def test_a_pool_keeps_its_processes() -> None:
     for process in first:
         with pytest.raises(ProcessLookupError):
             os.kill(process, 0)
-
-
-def test_deleted_working_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "gone").mkdir()
-    monkeypatch.chdir(tmp_path / "gone")
-    (tmp_path / "gone").rmdir()
-    command = [sys.executable, "-c", "import sys, os; sys.path.append(sys.argv[1]); import handover_marl"]
-    finished = subprocess.run([*command, str(ROOT)], capture_output=True, text=True, check=False)
-    assert "DataNotFoundError: the working directory does not exist any more" in finished.stderr
 
 
 def test_ray_that_does_not_run_is_reported_at_once(monkeypatch: pytest.MonkeyPatch) -> None:

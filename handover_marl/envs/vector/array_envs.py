@@ -1,6 +1,7 @@
 """Handover environments whose episodes are simulated together as arrays."""
 
 import copy
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -8,48 +9,241 @@ import numpy as np
 from gymnasium.utils import seeding
 
 from handover_marl.datasets.dataset import Scene
-from handover_marl.envs.handover_env import draw_seeds
-from handover_marl.envs.vector.array_episodes import ArrayEpisodes
+from handover_marl.envs.agents import GIVER, RECEIVER
+from handover_marl.envs.handover_env import HandoverEnv, draw_seeds
 from handover_marl.envs.vector.batch import EnvResult
+from handover_marl.envs.vector.policy_batches import make_policy_batch
+from handover_marl.envs.vector.reward_sums import RewardSums
+from handover_marl.envs.wrappers.control_agent import FixedPartnerEnv
 from handover_marl.envs.wrappers.encode import MAX_EPISODES_WITHOUT_OUTPUTS, EncodedEnv, make_no_outputs_error
-from handover_marl.envs.wrappers.wrapper import ByAgent, WrappableEnv
-from handover_marl.geometry.arrays import Indices, to_numpy
+from handover_marl.envs.wrappers.wrapper import ByAgent, EpisodeReturns, WrappableEnv, list_wrappers
+from handover_marl.episode.episodes import Episodes
+from handover_marl.episode.loop import derive_giver_seed, derive_receiver_seed
+from handover_marl.episode.observations import Observation, select_receiver_observation
+from handover_marl.episode.referee import EpisodeStatus
+from handover_marl.episode.spaces import STATE
+from handover_marl.episode.warp_sensors import WarpSensors
+from handover_marl.geometry.arrays import AnyArray, AnyIndices, Indices, to_numpy
+from handover_marl.learning.action_scheme import ArrayScheme
+from handover_marl.learning.array_features import ArrayFeatures
+from handover_marl.learning.features import make_array_features
+from handover_marl.learning.grasp_selector import LowestCostGraspSelector
+from handover_marl.learning.policy_spec import OBSERVATION
+from handover_marl.learning.schemes import make_array_scheme
+from handover_marl.policies.batch import PolicyBatch
 from handover_marl.simulation.engines import BatchBackend
 
 _NONE = -1
 
 
+class ArrayEpisodes:
+    """Simulator of episodes of one configuration on arrays, with their rewards, features and action schemes.
+
+    An episode equals an episode of a single environment with the wrappers `control_agent` and `encode`. The argument
+    `rows` (r,) of methods contains the indices of the episodes to which a method applies. All arrays are NumPy arrays,
+    or PyTorch tensors on the simulation's device, as its attribute `arrays` creates them.
+
+    Args:
+        template: Single environment of the configuration, with its wrappers; it is not simulated.
+        count: Number of episodes.
+        backend: Engine and device of the simulation.
+    """
+
+    def __init__(self, template: WrappableEnv, count: int, backend: BatchBackend) -> None:
+        base: HandoverEnv = template.unwrapped
+        self._base = base
+        config = base.config
+        self._agents = list(template.possible_agents)
+        self._episodes = Episodes(config.world_config, count, backend)
+        arrays = self.arrays = self._episodes.arrays
+        self._rewards = RewardSums(config, self._episodes, count)
+        wrappers = list_wrappers(template)
+        self._has_returns = any(isinstance(env, EpisodeReturns) for env in wrappers)
+        self._cycles = arrays.zeros(count, "int64")
+        self._terminated, self._truncated = arrays.zeros(count, "bool"), arrays.zeros(count, "bool")
+        space = base.action_space(GIVER)
+        self._giver_limits = arrays.asarray(space.low), arrays.asarray(space.high)
+        self._partner: PolicyBatch | None = None
+        self._partner_agent = GIVER if self._agents == [RECEIVER] else RECEIVER
+        for env in wrappers:
+            if isinstance(env, FixedPartnerEnv):
+                self._partner = make_policy_batch(
+                    env.reference, base.dataset, config.world_config, config.setup, count, arrays
+                )
+        self._features: dict[str, ArrayFeatures] = {}
+        self._schemes: dict[str, ArrayScheme] = {}
+        if isinstance(template, EncodedEnv):
+            context = base.policy_context
+            selector = LowestCostGraspSelector(context, count, arrays)
+            for agent, (features, scheme) in template.choices.items():
+                if features != OBSERVATION:
+                    self._features[agent] = make_array_features(agent, features, context, selector, count, arrays)
+                self._schemes[agent] = make_array_scheme(agent, scheme, context, selector, count, arrays)
+        self._camera: WarpSensors | None = None
+        is_camera_used = RECEIVER not in self._features or self._features[RECEIVER].uses_camera
+        if config.obs_mode != STATE and RECEIVER in self._agents and is_camera_used:
+            self._camera = WarpSensors(config.obs_mode, config.sensors, config.world_config.physics, count, arrays)
+
+    def start(self, row: int, scene: Scene, seed: int | None, robot_seed: int, camera_seed: int) -> None:
+        """Start the episode `row` in a scene.
+
+        The seed of the partner is derived from the run seed `seed`; `robot_seed` is that of the initial joint
+        positions.
+        """
+        episodes, rows = self._episodes, self.arrays.asarray([row])
+        episodes.reset(row, scene, robot_seed)
+        for scheme in self._schemes.values():
+            scheme.reset(row)
+        for features in self._features.values():
+            features.reset(row)
+        if self._camera is not None:
+            self._camera.reset(row, scene.assets, camera_seed)
+        episodes.update_state(rows)
+        if self._partner is not None:
+            self._partner.reset(row, self._derive_partner_seed(seed, scene, rows), scene.info.object_names)
+        self._cycles[row] = 0
+        self._terminated[row] = self._truncated[row] = False
+        self._rewards.start(row)
+
+    def clear_rewards(self, rows: AnyIndices) -> None:
+        """Set rewards and reward terms of the episodes `rows` to 0; `advance` adds to them until the next call."""
+        self._rewards.clear(rows)
+
+    def have_ended(self, rows: AnyIndices) -> AnyArray:
+        """Return for each of the episodes `rows` whether it has terminated or was truncated, (r,)."""
+        return self._terminated[rows] | self._truncated[rows]
+
+    def find_without_outputs(self, rows: AnyIndices) -> AnyIndices:
+        """Return those of `rows` whose episode runs, and whose next step needs no outputs of a network."""
+        if len(self._agents) > 1 or not self._schemes:
+            return rows[:0]
+        (agent,) = self._agents
+        running = rows[~self.have_ended(rows)]
+        return running[~self._schemes[agent].needs_outputs(running, self._select_observation(agent, running))]
+
+    def set_outputs(self, rows: AnyIndices, outputs: ByAgent) -> None:
+        """Pass outputs (r, ...) by agent to the action schemes, in the episodes of `rows` that need them now."""
+        for agent, scheme in self._schemes.items():
+            needs = scheme.needs_outputs(rows, self._select_observation(agent, rows))
+            scheme.set_outputs(rows[needs], outputs[agent][needs])
+
+    def advance(self, rows: AnyIndices, actions: ByAgent) -> None:
+        """Simulate one control period of the running episodes `rows` with actions (r, ...) by agent.
+
+        Actions of agents with an action scheme are not used.
+        """
+        config, episodes, actions = self._base.config, self._episodes, dict(actions)
+        for agent, scheme in self._schemes.items():
+            actions[agent] = scheme.compute_actions(rows, self._select_observation(agent, rows))
+        actions = self._simulate(rows, actions, config.control_steps)
+        episodes.update_state(rows)
+        self._cycles[rows] += 1
+        status, timeout = episodes.referees.status[rows], int(EpisodeStatus.TIMEOUT)
+        terminated = (status & ~timeout) != 0
+        truncated = (status & timeout) != 0
+        if config.max_cycles is not None:
+            truncated |= (self._cycles[rows] >= config.max_cycles) & ~terminated
+        self._terminated[rows], self._truncated[rows] = terminated, truncated
+        self._rewards.add(rows, actions, terminated, truncated)
+
+    def _simulate(self, rows: AnyIndices, actions: ByAgent, steps: int) -> ByAgent:
+        """Simulate up to `steps` physics steps of episodes, in which the partner decides at its own control period.
+
+        Returns the actions (r, ...) of the first step by agent, with those of the partner; the giver's are clipped.
+        """
+        episodes, xp, (low, high) = self._episodes, self.arrays.xp, self._giver_limits
+        agent = self._partner_agent
+        observe = functools.partial(self._select_observation, agent)
+        first: ByAgent | None = None
+        ends = episodes.referees.steps[rows] + steps
+        while len(rows):
+            until = ends
+            if self._partner is not None:
+                actions[agent], due = self._partner.act(rows, observe, episodes.referees.steps[rows])
+                until = xp.minimum(ends, due)
+            # For NumPy several times as fast as `xp.clip`.
+            actions[GIVER] = xp.minimum(xp.maximum(actions[GIVER], low), high)
+            first = first or dict(actions)
+            lengths = until - episodes.referees.steps[rows]
+            for length in np.unique(to_numpy(lengths)).tolist():
+                group = xp.nonzero(lengths == length)[0]
+                episodes.advance(rows[group], actions[RECEIVER][group], length, actions[GIVER][group])
+            # The control period of the others goes on: their partner's next decision is due.
+            referees = episodes.referees
+            left = xp.nonzero((referees.status[rows] == 0) & (referees.steps[rows] < ends))[0]
+            rows, ends, actions = rows[left], ends[left], {name: values[left] for name, values in actions.items()}
+            if len(rows):
+                episodes.update_state(rows)
+        return first or actions
+
+    def make_result(self, rows: AnyIndices) -> EnvResult:
+        """Return observations and infos of the episodes `rows`, and their rewards since the last `clear_rewards`."""
+        result = EnvResult({}, {}, {}, {}, {})
+        for agent in self._agents:
+            observation = self._select_observation(agent, rows)
+            if agent == RECEIVER and self._camera is not None:
+                # Only here: neither built-in action schemes nor partners observe images.
+                images = self._camera.observe(rows, observation, self._episodes.referees.steps[rows])
+                observation = select_receiver_observation(observation, images, self._base.config.obs_mode)
+            result.observations[agent] = (
+                self._features[agent](rows, observation) if agent in self._features else observation
+            )
+            terms = self._rewards.make_infos(agent, rows, self._has_returns)
+            result.infos[agent] = {**self._episodes.make_infos(rows), **terms}
+            if agent == RECEIVER:
+                for key, matrix in self._base.calibration.items():
+                    result.infos[agent][key] = self.arrays.asarray(np.repeat(matrix[None], len(rows), axis=0))
+            result.rewards[agent] = self._rewards.totals[agent][rows]
+            result.terminated[agent], result.truncated[agent] = self._terminated[rows], self._truncated[rows]
+        return result
+
+    def close(self) -> None:
+        """Free the simulation."""
+        self._episodes.close()
+        if self._camera is not None:
+            self._camera.close()
+
+    def _derive_partner_seed(self, seed: int | None, scene: Scene, rows: AnyIndices) -> int:
+        """Derive the seed of the partner from the run seed; `rows` (1,) is the episode, whose state was observed."""
+        if self._partner_agent == GIVER:
+            return derive_giver_seed(seed, scene.info.scene_id)
+        observation = self._select_observation(RECEIVER, rows)
+        return derive_receiver_seed(seed, {key: to_numpy(values)[0] for key, values in observation.items()})
+
+    def _select_observation(self, agent: str, rows: AnyIndices) -> Observation:
+        if agent == GIVER:
+            return self._episodes.select_giver_observation(rows)
+        return self._episodes.select_state(rows)
+
+
 class ArrayEnvs:
     """Environments of one configuration whose episodes are simulated together; see `batch.Envs`.
 
-    Environment k behaves like a single environment with the wrappers `control_agent` and `encode` that draws
-    the same scenes. Action schemes may need no outputs in the first control periods of an episode,
-    for example while the robot waits. These periods of the next episode are simulated together with
-    the current episode, which is faster than simulating these periods alone after a reset.
+    Environment k behaves like a single environment with the wrappers `control_agent` and `encode` that draws the same
+    scenes. Action schemes may need no outputs in the first control periods of an episode, for example while the robot
+    waits. These periods of the next episode are simulated together with the current episode, which is faster than
+    simulating these periods alone after a reset.
 
     Args:
         template: Single environment of the configuration, with its wrappers; it is not simulated.
         count: Number n of environments.
-        prefetch_episodes: Whether the next episodes may be simulated in advance, because `reset` gets no
-            seed and no options after the end of an episode.
+        prefetches: Whether the next episodes may be simulated in advance, because `reset` gets no seed and no
+            options after the end of an episode.
         load_scene: Function that loads a scene by its number.
         backend: Engine and device of the simulation.
-
-    Attributes:
-        arrays: Creator of the arrays that `reset` and `step` return.
     """
 
     def __init__(
         self,
         template: WrappableEnv,
         count: int,
-        prefetch_episodes: bool,
+        prefetches: bool,
         load_scene: Callable[[int], Scene],
         backend: BatchBackend,
     ) -> None:
         self._load_scene = load_scene
         self._base, self._agents = template.unwrapped, list(template.possible_agents)
-        self._prefetches = prefetch_episodes and isinstance(template, EncodedEnv) and len(self._agents) == 1
+        self._prefetches = prefetches and isinstance(template, EncodedEnv) and len(self._agents) == 1
         self._episodes = ArrayEpisodes(template, count * (1 + self._prefetches), backend)
         self.arrays = self._episodes.arrays
         self._rngs, self._partner_rngs = ([seeding.np_random(None)[0] for _ in range(count)] for _ in range(2))
@@ -66,8 +260,11 @@ class ArrayEnvs:
             OptionError: Many episodes in a row have ended before outputs were needed.
         """
         for row, seed in zip(rows.tolist(), seeds, strict=True):
-            if seed is not None or options:
-                self._discard_next(row)
+            before = self._rngs_before[row]
+            if (seed is not None or options) and self._next[row] != _NONE and before is not None:
+                # Forget the next episode, as if its scene had not been drawn.
+                self._rngs[row], self._partner_rngs[row] = before
+                self._next[row] = _NONE
             if seed is not None:
                 self._rngs[row], self._partner_rngs[row] = (seeding.np_random(seed)[0] for _ in range(2))
         left, episodes = rows, self._episodes
@@ -89,19 +286,13 @@ class ArrayEnvs:
         result = episodes.make_result(self.arrays.asarray(self._current[rows]))
         return result._replace(rewards={agent: self.arrays.zeros(len(rows)) for agent in self._agents})
 
-    def check_actions(self, actions: ByAgent) -> ByAgent:
-        """Return the actions or outputs (n, ...) of all environments as checked float32 arrays of the simulation.
-
-        Raises:
-            ActionError: A number is not finite.
-        """
-        return self._episodes.check_actions(actions)
-
     def step(self, rows: Indices, actions: ByAgent) -> EnvResult:
         """Let the agents act for one control period, or until an action scheme needs outputs; see `batch.Envs.step`."""
         episodes, current = self._episodes, self.arrays.asarray(self._current[rows])
-        if self._prefetches:
-            self._start_next(rows)
+        for row in rows[self._next[rows] == _NONE].tolist() if self._prefetches else ():
+            self._rngs_before[row] = copy.deepcopy((self._rngs[row], self._partner_rngs[row]))
+            self._start(row, int(self._free[row]), None)
+            self._next[row] = self._free[row]
         episodes.set_outputs(current, actions)
         episodes.clear_rewards(current)
         active = current
@@ -126,17 +317,3 @@ class ArrayEnvs:
         robot_seed, camera_seed = draw_seeds(rng, self._base.config.world_config)
         partner_seed = int(self._partner_rngs[row].integers(2**32))
         self._episodes.start(episode, self._load_scene(scene_id), partner_seed, robot_seed, camera_seed)
-
-    def _start_next(self, rows: Indices) -> None:
-        """Start the next episode of those of the environments `rows` that have no next episode yet."""
-        for row in rows[self._next[rows] == _NONE].tolist():
-            self._rngs_before[row] = copy.deepcopy((self._rngs[row], self._partner_rngs[row]))
-            self._start(row, int(self._free[row]), None)
-            self._next[row] = self._free[row]
-
-    def _discard_next(self, row: int) -> None:
-        """Forget the next episode of the environment `row`, as if its scene had not been drawn."""
-        before = self._rngs_before[row]
-        if self._next[row] != _NONE and before is not None:
-            self._rngs[row], self._partner_rngs[row] = before
-            self._next[row] = _NONE

@@ -1,24 +1,20 @@
-"""Batch of handover environments: results of their steps, seeds, and resets after an episode's end."""
+"""Interface of environments that are simulated together, and results of their steps."""
 
-import contextlib
-import os
-import threading
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple, NoReturn, Protocol
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
-from gymnasium.vector import AutoresetMode
 
 from handover_marl.envs.wrappers.wrapper import ByAgent
-from handover_marl.errors import ActionError, OptionError, ResetNeededError, SimulationError
+from handover_marl.episode.spaces import check_vector
+from handover_marl.errors import ActionError
 from handover_marl.geometry.arrays import (
     NUMPY_ARRAYS,
     AnyArray,
     ArrayFactory,
     Indices,
-    disable_gradients,
     get_namespace,
     is_tensor,
     to_numpy,
@@ -80,13 +76,6 @@ def _select(values: Any, rows: AnyArray | slice | int) -> Any:
     return values[rows]
 
 
-def replace_rows(values: Any, rows: Indices, others: Any) -> Any:
-    """Return copies of the arrays in nested dictionaries and tuples, with the rows `rows` taken from `others`."""
-    count = len(_first_array(values))
-    all_rows, replaced_rows = (move_to_device(indices, values) for indices in (np.arange(count), rows))
-    return _merge(count, [(all_rows, values), (replaced_rows, others)])
-
-
 def move_to_device(array: npt.NDArray[Any], values: Any) -> AnyArray:
     """Return a NumPy array as an array or tensor on the device of the arrays in the nested dictionaries `values`."""
     like = _first_array(values)
@@ -122,14 +111,7 @@ def make_final_infos(
 ) -> dict[str, Any]:
     """Return an agent's infos in Gymnasium's form about episodes that ended in a step and were reset in it.
 
-    Args:
-        observations: Observations (n, ...) of the agent after the step, before the resets.
-        infos: Infos (n,) of the agent after the step, before the resets.
-        ended: Mask (n,) of the environments that were reset.
-        arrays: Creator of the environments' arrays.
-
-    Returns:
-        Values of the keys "final_obs" and "final_info", and the masks "_final_obs" and "_final_info".
+    Observations (n, ...) and infos (n,) are those after the step, before the resets; `ended` (n,) masks the episodes.
     """
     final_obs = np.full(len(ended), None, dtype=object)
     for row in np.flatnonzero(ended).tolist():
@@ -145,28 +127,19 @@ def _first_array(values: Any) -> AnyArray:
 
 
 class Envs(Protocol):
-    """Interface of environments that are simulated together; `rows` are indices of environments, a NumPy array.
+    """Interface of environments that are simulated together, in arrays that the attribute `arrays` creates.
 
-    Attributes:
-        arrays: Creator of the arrays that `reset` and `step` return.
+    The argument `rows` of methods has indices of environments, a NumPy array.
     """
 
     arrays: ArrayFactory
 
     def reset(self, rows: Indices, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
-        """Start episodes.
+        """Start episodes in the environments `rows` (r,); return their result.
 
-        Args:
-            rows: Indices (r,) of the environments.
-            seeds: Seed of each of these environments; None keeps the state of its random generators.
-            options: Options of `HandoverEnv.reset`, the same for all.
-
-        Returns:
-            Result of the r environments, with rewards of 0.
+        A seed of None keeps the state of an environment's random generators; `options` are those of
+        `HandoverEnv.reset`.
         """
-
-    def check_actions(self, actions: ByAgent) -> ByAgent:
-        """Check the actions (n, ...) of all environments by agent, and return them as `step` takes them."""
 
     def step(self, rows: Indices, actions: ByAgent) -> EnvResult:
         """Step the environments `rows` (r,) with checked actions (r, ...) by agent; return the result of these r."""
@@ -178,194 +151,35 @@ class Envs(Protocol):
         """Free the simulation."""
 
 
-class EnvBatch:
-    """Batch of n environments, with the resets after an episode's end.
-
-    Args:
-        envs: The environments.
-        action_spaces: Action space of each agent in one environment.
-        num_envs: Number n of environments.
-        autoreset: Gymnasium's mode of the reset after an episode's end.
-
-    Attributes:
-        arrays: Creator of the arrays that `reset` and `step` return.
-        is_running: Whether every environment has been reset, and no reset or step has failed since.
-    """
-
-    def __init__(
-        self, envs: Envs, action_spaces: Mapping[str, spaces.Space[Any]], num_envs: int, autoreset: AutoresetMode
-    ) -> None:
-        self.num_envs, self.autoreset, self.is_running = num_envs, autoreset, False
-        self._is_closed, self._process, self._lock = False, os.getpid(), threading.Lock()
-        self._envs, self.arrays, self._action_spaces = envs, envs.arrays, action_spaces
-        self._ended = np.zeros(num_envs, dtype=bool)
-        self._latest: EnvResult | None = None
-
-    def __reduce__(self) -> NoReturn:
-        raise OptionError("a vector environment cannot be copied or pickled; make another one, in its process")
-
-    def reset(self, seed: int | Sequence[int | None] | None, options: dict[str, Any] | None) -> tuple[ByAgent, ByAgent]:
-        """Start an episode in every environment, or in some.
-
-        Args:
-            seed: Seed of the first environment, environment k gets `seed + k`; or a sequence with a
-                seed for each environment; None keeps the state of all random generators.
-            options: Options of `reset` that every environment gets, and `reset_mask`, a mask (n,) of the environments
-                to reset; default: all.
-
-        Returns:
-            Observations of all environments by agent (the last ones of environments that were not reset), and infos in
-            Gymnasium's form of the environments that were reset.
-
-        Raises:
-            OptionError: The number of seeds is not the number of environments, a seed is negative or not an integer,
-                `options` is not a mapping, or the mask has a wrong shape or chooses no environment.
-            ResetNeededError: The environments are closed, or were made by another process.
-            SimulationError: Another thread is using the environments.
-        """
-        if options is not None and not isinstance(options, Mapping):
-            raise OptionError(f"options must be a dict, got {options!r}")
-        others = dict(options or {})
-        mask = others.pop("reset_mask", None)
-        chosen = np.ones(self.num_envs, dtype=bool) if mask is None else to_numpy(mask)
-        if chosen.shape != (self.num_envs,) or chosen.dtype != bool or not chosen.any():
-            raise OptionError(f"reset_mask must be {self.num_envs} truth values with at least one True, got {mask!r}")
-        rows = np.flatnonzero(chosen)
-        seeds = self._spread_seeds(seed)
-        with self._use_envs():
-            is_running, self.is_running = self.is_running or len(rows) == self.num_envs, False
-            row_results = [(rows, self._envs.reset(rows, [seeds[row] for row in rows.tolist()], others or None))]
-            if self._latest is not None and len(rows) < self.num_envs:
-                row_results.insert(0, (np.arange(self.num_envs), self._latest))
-            result = merge_results(self.num_envs, row_results)
-            infos = {agent: mask_infos(own, chosen, self.arrays) for agent, own in result.infos.items()}
-            self.is_running, self._ended[rows] = is_running, False
-        self._latest = copy_containers(result)
-        return result.observations, infos
-
-    def step(self, actions: ByAgent) -> EnvResult:
-        """Step every environment, and reset environments whose episode has ended as `autoreset` specifies.
-
-        Args:
-            actions: Actions (n, ...) of each agent, arrays or tensors.
-
-        Returns:
-            Result of all environments; environments that were reset have the observations of the reset. The infos have
-            Gymnasium's form, with the last observations and infos of episodes that ended and were reset.
-
-        Raises:
-            ActionError: An agent's actions are missing or malformed; no environment has advanced.
-            ResetNeededError: There was no reset, a reset or step has failed since, or an episode has
-                ended and autoreset is "disabled"; or the environments are closed, or were made by another process.
-            SimulationError: Another thread is using the environments.
-        """
-        with self._use_envs():
-            if not self.is_running or (self.autoreset is AutoresetMode.DISABLED and self._ended.any()):
-                raise ResetNeededError("no episode is running; call reset() before step()")
-            if not isinstance(actions, dict) or actions.keys() != self._action_spaces.keys():
-                raise ActionError(f"actions must be a dict of arrays for {' and '.join(self._action_spaces)}")
-            checked = self._envs.check_actions(
-                {
-                    agent: check_action_array(values, self._action_spaces[agent], self.num_envs, agent, self.arrays)
-                    for agent, values in actions.items()
-                }
-            )
-            self.is_running = False
-            waiting, running = np.flatnonzero(self._ended), np.flatnonzero(~self._ended)
-            row_results = []
-            if len(waiting):
-                row_results.append((waiting, self._envs.reset(waiting, [None] * len(waiting), None)))
-            if len(running):
-                row_results.append((running, self._envs.step(running, select_rows(checked, running))))
-            result, final = merge_results(self.num_envs, row_results), None
-            self._ended = result.ended
-            if self.autoreset is AutoresetMode.SAME_STEP and self._ended.any():
-                final, rows = result, np.flatnonzero(self._ended)
-                first = self._envs.reset(rows, [None] * len(rows), None)
-                result = result._replace(
-                    observations=replace_rows(result.observations, rows, first.observations),
-                    infos=replace_rows(result.infos, rows, first.infos),
-                )
-            every, infos = np.ones(self.num_envs, dtype=bool), {}
-            for agent, own in result.infos.items():
-                infos[agent] = mask_infos(own, every, self.arrays)
-                if final is not None:
-                    last = final.observations[agent], final.infos[agent]
-                    infos[agent] |= make_final_infos(*last, self._ended, self.arrays)
-            if final is not None:
-                self._ended = np.zeros(self.num_envs, dtype=bool)
-            self.is_running = True
-        self._latest = copy_containers(result)
-        return result._replace(infos=infos)
-
-    def render(self) -> tuple[Any, ...] | None:
-        """Return the RGB image (height, width, 3) of each environment; None unless `render_mode` is "rgb_array"."""
-        images = self._envs.render()
-        return None if images is None else tuple(images)
-
-    def close(self) -> None:
-        """Free the simulations of all environments, which cannot be used afterwards."""
-        self.is_running, self._is_closed = False, True
-        self._envs.close()
-
-    @contextlib.contextmanager
-    def _use_envs(self) -> Iterator[None]:
-        """Check that the environments can be used, and exclude other threads meanwhile."""
-        if self._is_closed:
-            raise ResetNeededError("the vector environment is closed; make another one")
-        if os.getpid() != self._process:
-            # Threads do not survive a fork, so the simulation would wait for them forever.
-            raise ResetNeededError("the vector environment was made by another process; make it after the fork")
-        if not self._lock.acquire(blocking=False):
-            raise SimulationError("another thread is using the vector environment; call reset() and step() in turn")
-        try:
-            with contextlib.nullcontext() if self.arrays == NUMPY_ARRAYS else disable_gradients():
-                yield
-        finally:
-            self._lock.release()
-
-    def _spread_seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
-        """Return a seed for each environment: `seed` + k for number k, its element of a sequence, or None."""
-        count = self.num_envs
-        if seed is None:
-            return [None] * count
-        if isinstance(seed, (int, np.integer)) and seed >= 0:
-            return list(range(int(seed), int(seed) + count))
-        seeds = list(seed) if isinstance(seed, (Sequence, np.ndarray)) else [seed]
-        is_valid = all(value is None or (isinstance(value, (int, np.integer)) and value >= 0) for value in seeds)
-        if len(seeds) != count or not is_valid:
-            raise OptionError(f"seed must be an integer from 0 on or {count} such seeds, got {seed!r}")
-        return [None if value is None else int(value) for value in seeds]
-
-
 def check_action_array(
     actions: Any, space: spaces.Space[Any], count: int, agent: str, arrays: ArrayFactory = NUMPY_ARRAYS
 ) -> AnyArray:
-    """Check the shape and type of the actions of all environments, and return them as an array.
-
-    Args:
-        actions: Actions (count, ...) of an agent.
-        space: Action space of the agent in one environment.
-        count: Number of environments.
-        agent: Name of the agent, for errors.
-        arrays: Creator of the environments' arrays; if it creates tensors, tensors are returned unchanged.
+    """Check the actions (count, ...) of an agent in all environments; return them as float32 in the form of `arrays`.
 
     Raises:
-        ActionError: The actions are not a numeric array of this shape.
+        ActionError: The actions are not a numeric array of this shape, not finite, or a tensor on a device for NumPy.
     """
     shape = (count, *(space.shape or ()))
     if is_tensor(actions) and arrays is not NUMPY_ARRAYS:
         is_number = arrays.xp.isdtype(actions.dtype, ("integral", "real floating"))
-        if tuple(actions.shape) != shape or not is_number or actions.requires_grad:
-            gradient = " with a gradient; pass tensor.detach()" if actions.requires_grad else ""
-            raise ActionError(
-                f"actions of the {agent} must have shape {shape}, got {actions.dtype} {tuple(actions.shape)}{gradient}"
-            )
-        return actions
-    try:
-        values = np.asarray(actions)
-    except (ValueError, TypeError, RuntimeError) as error:  # ragged lists, tensors with a gradient or on a GPU
-        raise ActionError(f"actions of the {agent} must be an array of shape {shape} ({error})") from error
-    if values.shape != shape or values.dtype.kind not in "fiu":
-        raise ActionError(f"actions of the {agent} must have shape {shape}, got {values.dtype} {values.shape}")
+        gradient = " with a gradient; pass tensor.detach()" if actions.requires_grad else ""
+        values = actions
+    else:
+        try:
+            values = np.asarray(actions)
+        except (ValueError, TypeError, RuntimeError) as error:  # ragged lists, tensors with a gradient or on a GPU
+            raise ActionError(f"actions of the {agent} must be an array of shape {shape} ({error})") from error
+        is_number, gradient = values.dtype.kind in "fiu", ""
+    if tuple(values.shape) != shape or not is_number or gradient:
+        raise ActionError(
+            f"actions of the {agent} must have shape {shape}, got {values.dtype} {tuple(values.shape)}{gradient}"
+        )
+    xp = get_namespace(values)
+    with np.errstate(over="ignore"):
+        values = arrays.asarray(xp.astype(values, xp.float32))
+    xp = arrays.xp
+    if not xp.all(xp.isfinite(values)):
+        rows = to_numpy(values).reshape(count, -1)
+        row = rows[~np.isfinite(rows).all(axis=1)][0]
+        check_vector(f"action of the {agent}", row, len(row), "elements of its action space")
     return values

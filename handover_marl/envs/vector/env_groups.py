@@ -1,4 +1,4 @@
-"""Environments in groups, each simulated by a thread or a process of its own."""
+"""Environments that are simulated one after another, in groups on threads, or in a process of their own."""
 
 import contextlib
 import gc
@@ -8,13 +8,70 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
+from gymnasium.vector.utils import concatenate, create_empty_array
 from loky.backend import get_context
 
 from handover_marl.envs.vector.batch import EnvResult, Envs, merge_results, select_rows
-from handover_marl.envs.wrappers.wrapper import ByAgent
+from handover_marl.envs.wrappers.wrapper import ByAgent, WrappableEnv
 from handover_marl.errors import WorkerError
-from handover_marl.execution.tasks import make_picklable, pickle_by_value, unpickle
+from handover_marl.execution.tasks import convert_error, pickle_by_value, unpickle
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, Indices
+
+
+class SingleEnvs:
+    """Environments of one configuration, `count` of which `make` makes, each simulated on its own; see `batch.Envs`."""
+
+    arrays = NUMPY_ARRAYS
+
+    def __init__(self, make: Callable[[], WrappableEnv], count: int) -> None:
+        self.envs = [make() for _ in range(count)]
+
+    def reset(self, rows: Indices, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
+        """Start episodes in the environments `rows` (r,), with a seed for each; see `batch.Envs.reset`."""
+        own_options = None if options is None else dict(options)
+        starts = [
+            self.envs[row].reset(seed=seed, options=own_options) for row, seed in zip(rows.tolist(), seeds, strict=True)
+        ]
+        observations, infos = zip(*starts, strict=True)
+        agents, count = list(observations[0]), len(rows)
+        flags = {agent: np.zeros(count, dtype=bool) for agent in agents}
+        rewards = {agent: np.zeros(count) for agent in agents}
+        return EnvResult(self._stack(observations), rewards, flags, flags, _stack_infos(infos))
+
+    def step(self, rows: Indices, actions: ByAgent) -> EnvResult:
+        """Step the environments `rows` (r,) with actions (r, ...) by agent; see `batch.Envs.step`."""
+        steps = [
+            self.envs[row].step({agent: values[number] for agent, values in actions.items()})
+            for number, row in enumerate(rows.tolist())
+        ]
+        observations, *scalars, infos = zip(*steps, strict=True)
+        rewards, terminated, truncated = (
+            {agent: np.array([by_agent[agent] for by_agent in column]) for agent in column[0]} for column in scalars
+        )
+        return EnvResult(self._stack(observations), rewards, terminated, truncated, _stack_infos(infos))
+
+    def render(self) -> list[Any] | None:
+        """Return the RGB image (height, width, 3) of each environment; None unless `render_mode` is "rgb_array"."""
+        return [env.render() for env in self.envs] if self.envs[0].render_mode == "rgb_array" else None
+
+    def close(self) -> None:
+        """Free the simulations."""
+        for env in self.envs:
+            env.close()
+
+    def _stack(self, observations: Sequence[ByAgent]) -> ByAgent:
+        stacked = {}
+        for agent in observations[0]:
+            space = self.envs[0].observation_space(agent)
+            buffer: Any = create_empty_array(space, n=len(observations))
+            stacked[agent] = concatenate(space, [by_agent[agent] for by_agent in observations], buffer)
+        return stacked
+
+
+def _stack_infos(infos: Sequence[ByAgent]) -> ByAgent:
+    return {
+        agent: {key: np.array([info[agent][key] for info in infos]) for key in infos[0][agent]} for agent in infos[0]
+    }
 
 
 class GroupedEnvs:
@@ -41,10 +98,6 @@ class GroupedEnvs:
 
         return self._map(rows, reset)
 
-    def check_actions(self, actions: ByAgent) -> ByAgent:
-        """Check the actions (n, ...) of all environments, and return them as `step` takes them."""
-        return self._groups[0].check_actions(actions)
-
     def step(self, rows: Indices, actions: ByAgent) -> EnvResult:
         """Step the environments `rows` (r,) with checked actions (r, ...) by agent; see `batch.Envs.step`."""
         return self._map(rows, lambda group, own_rows, places: group.step(own_rows, select_rows(actions, places)))
@@ -61,11 +114,9 @@ class GroupedEnvs:
         self._pool.shutdown()
 
     def _map(self, rows: Indices, function: Callable[[Envs, Indices, Indices], EnvResult]) -> EnvResult:
-        """Call a function for each group with some of the environments `rows` (r,), and join the results.
+        """Call a function for each group with some of the environments `rows` (r,), ascending, and join the results.
 
-        Args:
-            rows: Indices of environments, ascending.
-            function: Function of a group, indices of environments in the group, and the places of these in `rows`.
+        The function gets a group, indices of environments in the group, and the places of these in `rows`.
         """
         numbers = np.searchsorted(self._firsts, rows, side="right") - 1
         futures, all_places = [], [np.flatnonzero(numbers == number) for number in range(len(self._groups))]
@@ -105,11 +156,6 @@ class ProcessEnvs:
         """Start episodes in the environments `rows` (r,), with a seed for each; see `batch.Envs.reset`."""
         result: EnvResult = self._call("reset", rows, seeds, options)
         return result
-
-    def check_actions(self, actions: ByAgent) -> ByAgent:
-        """Check the actions (n, ...) of all environments, and return them as `step` takes them."""
-        checked: ByAgent = self._call("check_actions", actions)
-        return checked
 
     def step(self, rows: Indices, actions: ByAgent) -> EnvResult:
         """Step the environments `rows` (r,) with checked actions (r, ...) by agent; see `batch.Envs.step`."""
@@ -166,7 +212,7 @@ def _run_worker(pipe: Connection, pickled: bytes) -> None:
             make, count = unpickle(pickled)
             envs: Envs = make(count)
         except Exception as error:
-            pipe.send(make_picklable(error))
+            pipe.send(convert_error(error, "making environments"))
             return
         pipe.send(None)
         # The modules and models of the process stay: searching them for garbage again and again takes 2 % of the time.
@@ -176,6 +222,6 @@ def _run_worker(pipe: Connection, pickled: bytes) -> None:
             try:
                 result = getattr(envs, name)(*arguments)
             except Exception as error:
-                result = make_picklable(error)
+                result = convert_error(error, name)
             pipe.send(result)
         envs.close()

@@ -27,13 +27,9 @@ from handover_marl.receivers.yang2021 import Yang2021Receiver
 
 
 class PopulationBatch(PolicyBatch):
-    """Batch of `PopulationPolicy`: each member acts in the episodes that have drawn it.
+    """Batch of the population `policy`: each member acts in the episodes that have drawn it.
 
-    Args:
-        policy: Policy of a single episode, which draws the members.
-        batches: Policy batch of each member, for all episodes.
-        count: Number of episodes.
-        arrays: Creator of the episodes' arrays.
+    The argument `batches` has the policy batch of each member, for all `count` episodes.
     """
 
     def __init__(
@@ -69,15 +65,9 @@ def make_policy_batch(
     count: int,
     arrays: ArrayFactory = NUMPY_ARRAYS,
 ) -> PolicyBatch:
-    """Make a policy for n environments: one policy on arrays if there is such a version, else one per environment.
+    """Make a policy for `count` environments: one on arrays if there is such a version, else one per environment.
 
-    Args:
-        reference: Reference to the policy.
-        dataset: Dataset with the robot model, objects and grasps for the policy.
-        config: World and rules for the policy.
-        setup: Setup that is played; None for the first of the dataset.
-        count: Number n of environments.
-        arrays: Creator of the environments' arrays. Policies that work with NumPy arrays only get copies on the host.
+    Policies that work with NumPy arrays only get copies on the host if `arrays` creates tensors.
 
     Raises:
         PolicyError: The constructor of the policy fails.

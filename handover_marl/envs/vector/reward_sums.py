@@ -8,9 +8,9 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from handover_marl.envs.arguments import AGENTS, GIVER, RECEIVER
+from handover_marl.envs.agents import AGENTS, GIVER, RECEIVER
 from handover_marl.envs.config import EnvConfig
-from handover_marl.envs.custom_rewards import make_reward_source
+from handover_marl.envs.custom_rewards import RewardSource
 from handover_marl.envs.rewards import StepData
 from handover_marl.envs.transition import Transition, TransitionRecorder
 from handover_marl.envs.vector.batch import select_rows
@@ -25,19 +25,14 @@ _SINCE_CLEAR, _SINCE_START = 0, 1
 
 
 class RewardSums:
-    """Weighted reward terms of n episodes, summed since the last call of `clear`.
+    """Weighted reward terms of `count` episodes, summed since the last call of `clear`.
 
-    Args:
-        config: Configuration of the environment, with the rewards.
-        episodes: The episodes.
-        count: Number n of episodes.
+    The configuration of the environment has the rewards.
     """
 
     def __init__(self, config: EnvConfig, episodes: Episodes, count: int) -> None:
         self._episodes, self._count, self._arrays = episodes, count, episodes.arrays
-        self._source = make_reward_source(
-            config.rewards, config.world_config.protocol.goal_center, count, episodes.arrays
-        )
+        self._source = RewardSource(config.rewards, config.world_config.protocol.goal_center, count, episodes.arrays)
         self._recorders = [TransitionRecorder(config.control_period) for _ in range(count)]
         # Names of the terms by agent, and sums (n, 2, 1 + k) of rewards and of k terms: since the last `clear`, and
         # since the start of the episode.
@@ -71,12 +66,9 @@ class RewardSums:
             sums[row] = 0.0
 
     def make_infos(self, agent: str, rows: AnyIndices, has_returns: bool) -> dict[str, AnyArray]:
-        """Return the infos of an agent in episodes: arrays (r,) of the reward terms.
+        """Return the infos of an agent in the episodes `rows`: arrays (r,) of the reward terms by key.
 
-        Args:
-            agent: "giver" or "receiver".
-            rows: Indices (r,) of the episodes.
-            has_returns: Whether to include the sums since the starts of the episodes, see `EpisodeReturns`.
+        With `has_returns` they include the sums since the starts of the episodes, see `EpisodeReturns`.
         """
         names, sums = self._names[agent], self._sums[agent][rows]
         infos = {f"{REWARD_PREFIX}{name}": sums[:, _SINCE_CLEAR, 1 + number] for number, name in enumerate(names)}
@@ -91,13 +83,9 @@ class RewardSums:
             sums[rows, _SINCE_CLEAR] = 0.0
 
     def add(self, rows: AnyIndices, actions: Mapping[str, AnyArray], terminated: AnyArray, truncated: AnyArray) -> None:
-        """Add the rewards of a control step.
+        """Add the rewards of a control step of the episodes `rows` (r,), whose states after it have been observed.
 
-        Args:
-            rows: Indices (r,) of the episodes, whose states after the step have been observed.
-            actions: Actions (r, ...) by agent, float32.
-            terminated: Whether each episode has terminated, (r,).
-            truncated: Whether each episode was truncated, (r,).
+        Actions (r, ...) by agent are float32; `terminated` and `truncated` (r,) say whether each episode has ended.
 
         Raises:
             RewardError: A user-defined reward fails.

@@ -1,35 +1,41 @@
 """Vector environment of one agent (Gymnasium's VectorEnv), and the constructor of vector environments."""
 
 import functools
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeAlias
 
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
-from gymnasium.vector.utils import batch_space
 
-from handover_marl.envs.arguments import check_positive_integer
+from handover_marl.datasets.dataset import Scene
+from handover_marl.envs.agents import RECEIVER
 from handover_marl.envs.config import EnvConfig, make_env_config
+from handover_marl.envs.custom_rewards import resolve_rewards
 from handover_marl.envs.handover_env import HandoverEnv
-from handover_marl.envs.vector.batch import EnvBatch
-from handover_marl.envs.vector.env_factory import EnvFactory
-from handover_marl.envs.vector.env_groups import GroupedEnvs, ProcessEnvs
+from handover_marl.envs.rewards import RewardWeights
+from handover_marl.envs.vector.array_envs import ArrayEnvs
+from handover_marl.envs.vector.batch import Envs
+from handover_marl.envs.vector.env_groups import GroupedEnvs, ProcessEnvs, SingleEnvs
 from handover_marl.envs.vector.parallel_vector_env import ParallelVectorEnv
-from handover_marl.envs.vector.single_envs import WrapperFunction
-from handover_marl.envs.wrappers.wrapper import WrappableEnv
-from handover_marl.errors import OptionError, check_name
-from handover_marl.execution.options import count_available_cores, forward_signature
-from handover_marl.learning.custom_encodings import FeaturesLike, SchemeLike
+from handover_marl.envs.wrappers.control_agent import FixedPartnerEnv, control_agent
+from handover_marl.envs.wrappers.encode import EncodedEnv, encode
+from handover_marl.envs.wrappers.wrapper import EpisodeReturns, WrappableEnv, check_env, list_wrappers
+from handover_marl.episode.spaces import FULL_POINTCLOUD, STATE, parse_obs_mode
+from handover_marl.errors import HandoverError, OptionError, check_name
+from handover_marl.execution.options import check_positive_integer, count_available_cores, forward_signature
+from handover_marl.learning.custom_encodings import FeaturesLike, SchemeLike, is_reference
 from handover_marl.policies.reference import PolicyLike
 from handover_marl.simulation.camera.optics import CameraInfo
+from handover_marl.simulation.camera.renderers import RAYS, resolve_renderer
 from handover_marl.simulation.engines import CPU, MUJOCO, THREADS, WARP, BatchBackend, check_backend
 
+#: Function or class that wraps the environment by a `pettingzoo.utils.BaseParallelWrapper`.
+WrapperFunction: TypeAlias = Callable[[WrappableEnv], WrappableEnv]
 AUTORESETS = tuple(mode.name.lower() for mode in AutoresetMode)
-
-
 #: Largest number of environments in a batch; each takes megabytes of memory.
 MAX_ENVS = 65_536
+# A scene takes 0.7 MB, and 5 ms to read.
+_CACHED_SCENES = 512
 
 
 class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
@@ -44,55 +50,44 @@ class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
     episode has ended, and its mask "_final_obs" is a NumPy array.
 
     Args:
-        batch: The environments.
-        template: Single environment with the same spaces.
+        envs: The environments of this agent.
+        render_mode: Render mode of each environment.
 
     Attributes:
         autoreset_mode: Gymnasium's mode of the reset after an episode's end.
         scene_ids: Numbers of the scenes that the environments draw from.
     """
 
-    metadata: dict[str, Any] = {**HandoverEnv.metadata, "name": "handover_vector_v0"}
     single_action_space: spaces.Box
 
-    def __init__(self, batch: EnvBatch, template: WrappableEnv) -> None:
-        agents: list[str] = list(template.possible_agents)
-        (self._agent,) = agents
-        self._batch, self._template = batch, template
-        self.scene_ids: tuple[int, ...] = template.unwrapped.scene_ids
-        self.num_envs, self.render_mode = batch.num_envs, template.render_mode
-        self.autoreset_mode = batch.autoreset
-        self.metadata = {**type(self).metadata, **template.metadata, "autoreset_mode": batch.autoreset}
-        self.single_observation_space = template.observation_space(self._agent)
-        self.single_action_space = template.action_space(self._agent)
-        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
-        self.action_space = batch_space(self.single_action_space, self.num_envs)
+    def __init__(self, envs: ParallelVectorEnv, render_mode: str | None) -> None:
+        (self._agent,) = envs.possible_agents
+        self._envs, self.render_mode = envs, render_mode
+        self.num_envs, self.autoreset_mode, self.scene_ids = envs.num_envs, envs.autoreset_mode, envs.scene_ids
+        self.metadata = envs.metadata
+        self.single_observation_space = envs.single_observation_space(self._agent)
+        self.single_action_space = envs.single_action_space(self._agent)
+        self.observation_space = envs.observation_space(self._agent)
+        self.action_space = envs.action_space(self._agent)
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Start an episode in every environment, or in some with `options={"reset_mask": (n,) bool}`.
 
-        Args:
-            seed: Seed of the first environment, environment k gets `seed + k`; or a list with a seed
-                for each environment.
-            options: Options that every environment gets: `{"scene_id": n}` chooses the scene; and
-                `reset_mask`, the mask of the environments to reset, an array or a tensor.
+        Arguments and errors are as in `ParallelVectorEnv.reset`.
 
         Returns:
             Observations (n, ...), and infos in Gymnasium's form.
-
-        Raises:
-            OptionError: The number of seeds or the shape of the mask is wrong, or no environment is chosen.
-            ResetNeededError: The environments are closed, or were made by another process.
         """
-        observations, infos = self._batch.reset(seed, options)
+        observations, infos = self._envs.reset(seed, options)
         return observations[self._agent], infos[self._agent]
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Step every environment for one control period, or until its action scheme needs outputs.
 
-        Some action schemes skip decisions; a step then lasts several control periods, whose rewards are summed.
+        Some action schemes skip decisions; a step then lasts several control periods, whose rewards are summed. Errors
+        are those of `ParallelVectorEnv.step`.
 
         Args:
             actions: (n, ...) action of each environment. With the backend "warp", tensors on the device are not copied
@@ -100,28 +95,23 @@ class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
 
         Returns:
             Observations (n, ...), rewards (n,), terminations (n,), truncations (n,), and infos in Gymnasium's form.
-
-        Raises:
-            ActionError: The actions are not a numeric array (n, ...), or are a tensor with a gradient.
-            ResetNeededError: There was no reset, or a reset or step has failed since.
         """
         observations, rewards, terminated, truncated, infos = (
-            part[self._agent] for part in self._batch.step({self._agent: actions})
+            part[self._agent] for part in self._envs.step({self._agent: actions})
         )
         return observations, rewards, terminated, truncated, infos
 
     def camera_info(self) -> dict[str, CameraInfo]:
         """Return size, intrinsics and pose of each camera by name, the same in all environments and episodes."""
-        found: dict[str, CameraInfo] = self._template.unwrapped.camera_info()
-        return found
+        return self._envs.camera_info()
 
     def render(self) -> tuple[Any, ...] | None:
         """Return the RGB image (height, width, 3) of each environment; None unless `render_mode` is "rgb_array"."""
-        return self._batch.render()
+        return self._envs.render()
 
     def close_extras(self, **kwargs: Any) -> None:
         """Free the simulations of all environments."""
-        self._batch.close()
+        self._envs.close()
 
 
 @forward_signature(EnvConfig, defaults={"physics": MUJOCO})
@@ -187,46 +177,155 @@ def vector_env(
     """
     check_name("autoreset", autoreset, AUTORESETS)
     chosen_backend = BatchBackend(backend, device)
-    count, threads, processes = _check_counts(num_envs, threads, processes, chosen_backend)
-    if config is None:
-        fields = {"physics": MUJOCO, **fields}
-    chosen = make_env_config(config, fields)
-    factory = EnvFactory(
-        chosen, agent, partner, features, action_scheme, wrappers, trust, autoreset != "disabled", chosen_backend
-    )
-    if backend == WARP:
-        factory.check_device()
-    template, make = factory.template, factory.make
-    if processes is not None:
-        n_groups = processes
-        # The copy has no environment, which would be pickled with it.
-        make = functools.partial(ProcessEnvs, replace(factory).make)
-    else:
-        n_groups = (threads or count_available_cores()) if factory.uses_arrays and backend == THREADS else 1
-    n_groups = min(n_groups, count)
-    envs = make(count) if n_groups == 1 else GroupedEnvs(make, count, n_groups)
-    action_spaces = {name: template.action_space(name) for name in template.possible_agents}
-    batch = EnvBatch(envs, action_spaces, count, AutoresetMode[autoreset.upper()])
-    return ParallelVectorEnv(batch, template) if agent is None else HandoverVectorEnv(batch, template)
-
-
-def _check_counts(
-    num_envs: int, threads: int | None, processes: int | None, backend: BatchBackend
-) -> tuple[int, int | None, int | None]:
-    """Check the backend, and return the numbers of environments, threads and processes as checked integers."""
+    check_backend(chosen_backend)
     count = check_positive_integer("num_envs", num_envs)
     if count > MAX_ENVS:
         raise OptionError(f"num_envs must be at most {MAX_ENVS}, got {num_envs}; run several processes")
-    threads, processes = (
-        None if number is None else check_positive_integer(name, number)
-        for name, number in (("threads", threads), ("processes", processes))
-    )
-    if threads is not None and processes is not None:
+    threads = None if threads is None else check_positive_integer("threads", threads)
+    processes = None if processes is None else check_positive_integer("processes", processes)
+    if None not in (threads, processes):
         raise OptionError(f"pass either threads or processes, not both, got {threads} and {processes}")
-    check_backend(backend)
-    if backend.name == WARP and (threads is not None or processes is not None):
+    if backend == WARP and (threads or processes):
         raise OptionError(
             f"threads and processes must be left out with backend='warp', got {threads} and {processes}; the device "
             "simulates all environments together"
         )
-    return count, threads, processes
+    if agent is None and partner is not None:
+        raise OptionError(
+            f"partner must be None if both agents are controlled, got {partner!r}; leave it out, or name one agent"
+        )
+    given: object = wrappers
+    if not isinstance(given, Sequence) or isinstance(given, str):
+        raise OptionError(f"wrappers must be a list of functions or classes, got {given!r}")
+    if config is None:
+        fields = {"physics": MUJOCO, **fields}
+    chosen = make_env_config(config, fields)
+    if chosen.render_mode == "human":
+        raise OptionError('render_mode must be None or "rgb_array" for several environments, got "human"')
+
+    def make_single() -> WrappableEnv:
+        env: WrappableEnv = HandoverEnv(chosen)
+        for wrapper in wrappers:
+            env = _apply_wrapper(wrapper, env)
+        if agent is not None:
+            env = control_agent(env, agent, partner, trust=trust)
+        return env if features is None and action_scheme is None else encode(env, features, action_scheme)
+
+    template = make_single()
+    uses_arrays = _can_use_arrays(template, backend)
+    if backend == WARP:
+        _check_device(template, uses_arrays)
+    # Groups share the template and the scenes; processes make their own.
+    make: Callable[..., Envs] = functools.partial(_make_envs, make_single, autoreset != "disabled", chosen_backend)
+    if processes is not None:
+        n_groups, make = processes, functools.partial(ProcessEnvs, make)
+    else:
+        n_groups = (threads or count_available_cores()) if uses_arrays and backend == THREADS else 1
+        make = functools.partial(make, template=template, load_scene=_cache_scenes(template))
+    n_groups = min(n_groups, count)
+    envs = make(count) if n_groups == 1 else GroupedEnvs(make, count, n_groups)
+    both = ParallelVectorEnv(envs, template, count, AutoresetMode[autoreset.upper()])
+    return both if agent is None else HandoverVectorEnv(both, template.render_mode)
+
+
+def _make_envs(
+    make_single: Callable[[], WrappableEnv],
+    prefetches: bool,
+    backend: BatchBackend,
+    count: int,
+    template: WrappableEnv | None = None,
+    load_scene: Callable[[int], Scene] | None = None,
+) -> Envs:
+    """Make environments, which one thread simulates.
+
+    With `prefetches`, next episodes may be simulated in advance, because `reset` gets no options after the end of an
+    episode. A template and a cache of scenes are made unless they are given.
+    """
+    template = template or make_single()
+    if not _can_use_arrays(template, backend.name):
+        return SingleEnvs(make_single, count)
+    return ArrayEnvs(template, count, prefetches, load_scene or _cache_scenes(template), backend)
+
+
+def _cache_scenes(template: WrappableEnv) -> Callable[[int], Scene]:
+    return functools.lru_cache(maxsize=_CACHED_SCENES)(template.unwrapped.dataset.load_scene)
+
+
+def _can_use_arrays(template: WrappableEnv, backend: str) -> bool:
+    """Return whether `ArrayEnvs` can simulate the environments together.
+
+    Arrays need MuJoCo's physics, no wrappers but `EpisodeReturns`, `control_agent` and `encode` in this order, and
+    either no camera, or "warp" with a camera that passes `_check_device`.
+    """
+    config = template.unwrapped.config
+    if config.physics != MUJOCO or config.render_mode is not None:
+        return False
+    if config.obs_mode != STATE and backend != WARP:
+        return False
+    wrappers = list_wrappers(template)
+    if any(isinstance(env, FixedPartnerEnv) and env.policy.obs_mode != STATE for env in wrappers):
+        return False
+    kinds = [type(env) for env in wrappers]
+    return kinds == [kind for kind in (EncodedEnv, FixedPartnerEnv, EpisodeReturns) if kind in kinds]
+
+
+def _check_device(template: WrappableEnv, uses_arrays: bool) -> None:
+    """Check that environments can be simulated on a device, with the backend "warp".
+
+    Raises:
+        OptionError: Physics, wrappers, or data, noise or users of a camera need the backend "threads".
+    """
+    config = template.unwrapped.config
+    faults = [
+        (env.policy.obs_mode != STATE, f"a partner without a camera, got {env.policy.name!r}")
+        for env in list_wrappers(template)
+        if isinstance(env, FixedPartnerEnv)
+    ]
+    if config.obs_mode != STATE:
+        choices = template.choices if isinstance(template, EncodedEnv) else {}
+        scheme: Any = choices[RECEIVER][1] if RECEIVER in choices else ""
+        has_full_clouds = FULL_POINTCLOUD in parse_obs_mode(config.obs_mode)
+        has_terms = isinstance(resolve_rewards(config.rewards), RewardWeights)
+        faults += [
+            (has_full_clouds, f"an obs_mode without {FULL_POINTCLOUD}, got {config.obs_mode!r}"),
+            (config.camera_noise is not None, f"camera_noise=None, got {config.camera_noise!r}"),
+            (config.camera_randomization is not None, "camera_randomization=None"),
+            (any(camera.period for camera in config.sensors.cameras), "cameras with period=0"),
+            (
+                resolve_renderer(config.renderer, config.physics) != RAYS,
+                f"the renderer 'rays', got {config.renderer!r}",
+            ),
+            (not has_terms, f"rewards that are weights of the library's terms, got {config.rewards!r}"),
+            (
+                not isinstance(scheme, str) or is_reference(scheme),
+                f"a built-in action scheme for the receiver, got {scheme!r}",
+            ),
+        ]
+    for is_wrong, need in faults:
+        if is_wrong:
+            raise OptionError(f"cameras with backend='warp' need {need}; use backend='threads'")
+    if not uses_arrays:
+        raise OptionError(
+            "with backend='warp', environments must have physics='mujoco', render_mode=None and no wrappers but "
+            "EpisodeReturns; use backend='threads'"
+        )
+
+
+def _apply_wrapper(wrapper: WrapperFunction, env: WrappableEnv) -> WrappableEnv:
+    """Return an environment wrapped by a user's function or class `wrapper`.
+
+    Raises:
+        OptionError: The wrapper cannot be called, fails, or does not wrap the environment that it gets.
+    """
+    if not callable(wrapper):
+        raise OptionError(f"wrappers must be functions or classes that wrap an environment, got {wrapper!r}")
+    try:
+        wrapped = wrapper(env)
+    except HandoverError:
+        raise
+    except (Exception, SystemExit) as error:  # code of the user
+        raise OptionError(f"wrapper {wrapper!r} failed ({type(error).__name__}: {error})") from error
+    check_env(wrapped)
+    if wrapped.unwrapped is not env.unwrapped:
+        raise OptionError(f"wrappers must wrap the environment that they get, got another one from {wrapper!r}")
+    return wrapped

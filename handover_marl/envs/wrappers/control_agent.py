@@ -4,12 +4,11 @@ from typing import Any
 
 from gymnasium.utils import EzPickle, seeding
 
-from handover_marl.envs.arguments import AGENTS, GIVER, RECEIVER
+from handover_marl.envs.agents import AGENTS, GIVER, RECEIVER
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.wrappers.wrapper import Api, ByAgent, ParallelStep, ParallelWrapper, WrappableEnv, convert_api
 from handover_marl.errors import ActionError, OptionError, check_name
 from handover_marl.policies.reference import PolicyLike, parse_policy
-from handover_marl.policies.registry import list_available
 
 DEFAULT_PARTNERS = {RECEIVER: "replay", GIVER: "yang2021"}
 
@@ -20,12 +19,6 @@ class FixedPartnerEnv(ParallelWrapper):
     The partner acts as in evaluations: at its own control period, which may differ from the environment's, and with
     seeds that are derived from a run seed, which is drawn for each episode. Wrappers of `env` change neither
     observations nor actions of the partner.
-
-    Args:
-        env: Environment with both agents, see `control_agent` for this and the other arguments.
-        agent: Agent that is controlled from outside.
-        partner: Policy of the other agent.
-        trust: Whether a policy file may run code.
 
     Attributes:
         live_agent: Agent that is controlled from outside, "receiver" or "giver".
@@ -53,11 +46,6 @@ class FixedPartnerEnv(ParallelWrapper):
                 "call control_agent() first, then encode()"
             )
         chosen = DEFAULT_PARTNERS[agent] if partner is None else partner
-        if isinstance(chosen, str) and chosen in set(list_available(agent)) - set(list_available(self.partner_agent)):
-            raise OptionError(
-                f"partner must be a {self.partner_agent}, because the {agent} is controlled, got the {agent} "
-                f"{chosen!r}; pass agent={self.partner_agent!r} or another partner"
-            )
         self.reference = parse_policy(self.partner_agent, chosen, trust)
         self.policy = self.reference.make(base.dataset, base.config.world_config, base.config.setup)
         self._rng, _ = seeding.np_random(None)

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 from gymnasium.utils import EzPickle
 
-from handover_marl.envs.arguments import GIVER, RECEIVER
+from handover_marl.envs.agents import GIVER, RECEIVER
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.wrappers.wrapper import (
     REWARD_PREFIX,
@@ -39,20 +39,12 @@ MAX_EPISODES_WITHOUT_OUTPUTS = 100
 
 
 class EncodedEnv(ParallelWrapper):
-    """Wrapper whose observations are feature vectors and whose actions are network outputs.
+    """Wrapper whose observations are feature vectors and whose actions are network outputs, made by `encode`.
 
-    An action scheme decodes an agent's outputs into its actions.
-
-    With one agent a step lasts until the action scheme needs outputs again, mostly one control
-    period, and rewards are summed over the step. An episode in which no outputs are needed is
-    simulated to its end, and another episode follows. Rewards of the control steps that `reset`
-    simulates are not returned. With two agents a step is one control period,
-    and an action scheme that needs no outputs keeps its last outputs. Made by `encode`.
-
-    Args:
-        env: Environment to encode.
-        features: Features, see `encode`; a mapping from agents to features if `env` has two agents.
-        action_scheme: Action scheme, see `encode`; a mapping from agents to schemes if `env` has two agents.
+    With one agent a step lasts until the action scheme, which decodes outputs into actions, needs outputs again, mostly
+    one control period, and rewards are summed over the step. An episode in which no outputs are needed is simulated to
+    its end, and another episode follows. Rewards of the control steps that `reset` simulates are not returned. With two
+    agents a step is one control period, and an action scheme that needs no outputs keeps its last outputs.
 
     Attributes:
         choices: Features and action scheme as they were given, by agent.
@@ -226,12 +218,10 @@ def make_no_outputs_error(agent: str) -> OptionError:
 
 def _complete_choices(argument: str, defaults: dict[str, str], choices: Any, agents: list[str]) -> dict[str, Any]:
     """Return the features or schemes of each agent: those in `choices`, by agent or for the only one, else defaults."""
-    if choices is None:
-        choices = {}
     if not isinstance(choices, Mapping):
-        if len(agents) != 1:
+        if choices is not None and len(agents) != 1:
             raise OptionError(f"{argument} must be a dict by agent for {len(agents)} agents, got {choices!r}")
-        choices = {agents[0]: choices}
+        choices = {} if choices is None else {agents[0]: choices}
     unknown = sorted(map(str, choices.keys() - set(agents)))
     if unknown:
         raise OptionError(f"{argument} must be for {' and '.join(agents)}, got a choice for {unknown[0]!r}")

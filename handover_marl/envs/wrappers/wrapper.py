@@ -175,11 +175,7 @@ Api = Literal["parallel", "gymnasium"]
 
 
 def convert_api(env: ParallelWrapper, api: Api) -> ParallelWrapper | SingleAgentEnv:
-    """Convert a parallel environment to the requested API.
-
-    Args:
-        env: Parallel environment.
-        api: "parallel" returns `env` itself, "gymnasium" a Gymnasium environment of it.
+    """Return a parallel environment itself, or for the API "gymnasium" a Gymnasium environment of its only agent.
 
     Raises:
         UnknownNameError: There is no such API.

@@ -95,11 +95,9 @@ class Demonstration:
 def hold_actions(
     decisions: Sequence[tuple[int, npt.NDArray[np.float32]]], steps: npt.NDArray[np.int64]
 ) -> npt.NDArray[np.float32]:
-    """Return the actions (T, n) in effect from T given physics steps on (zero-order hold).
+    """Return the actions (T, n) in effect from physics steps (T,) on (zero-order hold).
 
-    Args:
-        decisions: Physics step and action of each decision, in order; the first is at step 0.
-        steps: (T,) physics steps.
+    `decisions` has the physics step and action of each decision, in order; the first is at step 0.
     """
     starts = [step for step, _ in decisions]
     last = np.searchsorted(starts, steps, side="right") - 1
@@ -107,12 +105,7 @@ def hold_actions(
 
 
 def describe_demonstration(result: EpisodeResult, config: EvaluationConfig) -> dict[str, Any]:
-    """Return the metadata of an episode (scene, policies, outcome), see `Demonstration.metadata`.
-
-    Args:
-        result: Outcome of the episode.
-        config: Resolved configuration of its evaluation.
-    """
+    """Return the metadata of an episode of an evaluation (resolved configuration), see `Demonstration.metadata`."""
     policies = {agent: require_policy_reference(getattr(config, agent)).label for agent in ("receiver", "giver")}
     values = {**vars(config), **describe_episode(result), **policies, "version": __version__}
     return {key: _UNKNOWN.get(key, "") if values[key] is None else values[key] for key in _METADATA_KEYS}

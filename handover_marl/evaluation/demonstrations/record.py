@@ -106,14 +106,9 @@ def demonstrate(
 
 
 class DemonstrationRecorder(EpisodeCallback):
-    """Recorder of observations and actions at every decision, or at a constant frame rate.
+    """Recorder of observations of a mode and actions, at every decision, or with `fps` at a constant frame rate.
 
     A frame has the observation at the physics step nearest to its time, and the actions in effect from this step on.
-
-    Args:
-        config: Resolved configuration of the evaluation.
-        obs_mode: Observation mode of the recording.
-        fps: Frames per second; None records the receiver's decisions.
     """
 
     def __init__(self, config: EvaluationConfig, obs_mode: str, fps: int | None) -> None:

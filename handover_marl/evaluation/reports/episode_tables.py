@@ -1,11 +1,9 @@
-"""Tables of the episodes of one evaluation, or of the same scenes in two evaluations."""
+"""Tables of the episodes of one evaluation."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.evaluation.reports.tables import (
-    AVERAGE_SUCCESS,
     COUNTS,
     EARLY_GRAB,
     FLUENCY,
@@ -16,22 +14,16 @@ from handover_marl.evaluation.reports.tables import (
     REPORTED_STATUSES,
     Estimate,
     ReportTable,
-    estimate_average_success,
     estimate_mean,
-    estimate_paired_difference,
     estimate_rate,
     format_percent_rate,
 )
 from handover_marl.evaluation.results import EpisodeResult
 
-EpisodePair = tuple[EpisodeResult, EpisodeResult]
-
 #: Titles of the cells of an episode: its keys in `report.json`.
 SCENE_HEADER = ("scene id", "object name", "subject", "side", "outcome", "steps", "release step", "plan s")
 # Further cells in evaluations with inference time.
 _INFERENCE_HEADER = ("late s", "early grab")
-# Cells of a scene that identify it, and those of its outcome.
-_SCENE, _OUTCOME = slice(0, 2), slice(4, 7)
 FLUENCY_NOTE = (
     "Means over the n episodes that have a value. Human idle, robot idle, concurrent activity and functional delay are "
     "shares of the episode (Hoffman 2019); forces are sums of normal forces in one step of 1 ms; SPARC is spectral arc "
@@ -75,45 +67,6 @@ def build_object_table(episodes: Sequence[EpisodeResult]) -> ReportTable:
     return ReportTable(["object name", *(column.title for column in (N_EPISODES, RATES[0], *COUNTS[1:]))], rows)
 
 
-def build_rate_table(pairs: Sequence[EpisodePair], names: tuple[str, str]) -> ReportTable:
-    """Build the table of outcome rates and AS of two evaluations and of their differences.
-
-    Args:
-        pairs: Results of the same scenes in both evaluations.
-        names: Names of the evaluations; the second one is subtracted from the first.
-    """
-    n, sides = len(pairs), list(zip(*pairs, strict=True))
-    rows: list[list[object]] = []
-    for flag in REPORTED_STATUSES:
-        cells = [format_percent_rate(count_status(side, flag), n, digits=2) for side in sides]
-        difference = estimate_paired_difference(*([bool(each.status & flag) for each in side] for side in sides))
-        rows.append([flag.label, *cells, difference.format("+.2f"), n])
-    scores = [[result.speed_score for result in side] for side in sides]
-    gain = estimate_mean([first - second for first, second in zip(*scores, strict=True)])
-    if scores[0] == scores[1]:
-        # The bootstrap has no width; as for AS without a success, the interval is that of the success rate.
-        successes = ([result.success for result in side] for side in sides)
-        gain = replace(gain, interval_95=estimate_paired_difference(*successes).interval_95)
-    means = [estimate_average_success(side).format(".2f", ".1f") for side in scores]
-    rows.append([AVERAGE_SUCCESS.key, *means, gain.format("+.2f", "+.1f"), n])
-    first, second = names
-    return ReportTable(
-        ["metric", f"{first} %", f"{second} %", f"{first} minus {second}, points", N_EPISODES.title], rows
-    )
-
-
-def build_difference_table(pairs: Iterable[EpisodePair], names: tuple[str, str]) -> ReportTable:
-    """Build the table of scenes with different outcomes in two evaluations with the given names."""
-    rows = []
-    for pair in pairs:
-        if pair[0].status != pair[1].status:
-            first, second = (format_scene_cells(result) for result in pair)
-            outcomes = zip(first[_OUTCOME], second[_OUTCOME], strict=True)
-            rows.append([*first[_SCENE], *(cell for cells in outcomes for cell in cells)])
-    titles = [f"{name} {title}" for title in SCENE_HEADER[_OUTCOME] for name in names]
-    return ReportTable([*SCENE_HEADER[_SCENE], *titles], rows, split_column=6, n_keys=2)
-
-
 def estimate_fluency(episodes: Iterable[EpisodeResult]) -> dict[str, Estimate]:
     """Estimate the mean of every fluency metric, by key; empty if no episode has fluency metrics.
 
@@ -133,28 +86,8 @@ def estimate_fluency(episodes: Iterable[EpisodeResult]) -> dict[str, Estimate]:
     return means
 
 
-def build_fluency_difference_table(pairs: Iterable[EpisodePair], names: tuple[str, str]) -> ReportTable:
-    """Build the table of mean differences of fluency metrics; it has no rows if no pair has fluency metrics.
-
-    Args:
-        pairs: Results of the same scenes in two evaluations. A metric is compared on the scenes where both have it.
-        names: Names of the evaluations; the second one is subtracted from the first.
-    """
-    known = [(one.fluency, other.fluency) for one, other in pairs if one.fluency and other.fluency]
-    means = {}
-    for column in FLUENCY if known else ():
-        values = [(getattr(one, column.key), getattr(other, column.key)) for one, other in known]
-        means[column.key] = estimate_mean([float(one - two) for one, two in values if None not in (one, two)])
-    return build_fluency_table(means, f"{names[0]} minus {names[1]}")
-
-
 def build_fluency_table(means: Mapping[str, Estimate], title: str = "mean") -> ReportTable:
-    """Build the table of means of fluency metrics; it has no rows if there are no means.
-
-    Args:
-        means: Means by key, as `estimate_fluency` returns them.
-        title: Title of the column of means.
-    """
+    """Build the table of means by key, as `estimate_fluency` returns them; it has no rows if there are no means."""
     rows: list[list[object]] = []
     for column in (column for column in (*FLUENCY, LATE, EARLY_GRAB) if column.key in means):
         found = means[column.key]

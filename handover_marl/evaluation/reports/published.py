@@ -14,19 +14,10 @@ from handover_marl.evaluation.metadata import OFFICIAL_WORLD, ResultMetadata
 
 @dataclass(frozen=True)
 class PublishedResult:
-    """Published result of one method: rates in percent, times in seconds on the authors' machine.
+    """Published result of one method: rates (%), and times (s) on the authors' machine.
 
-    Attributes:
-        method: Name of the method.
-        wait_s: Time that the robot waits before it approaches (s).
-        success: Success rate (%).
-        time_exec: Mean simulated time to success (s).
-        time_plan: Mean wall-clock time in the policy (s).
-        time_total: Sum of `time_exec` and `time_plan` (s).
-        contact: Rate of contacts with the person (%).
-        drop: Rate of dropped objects (%).
-        timeout: Rate of timeouts (%).
-        source: Origin of the row, a key of `SOURCES`.
+    Times are means: simulated time to success (`time_exec`), wall-clock time in the policy, and their sum. `wait_s` is
+    the time that the robot waits before it approaches, and `source` a key of `SOURCES`.
     """
 
     method: str

@@ -145,24 +145,21 @@ class Report(TabularResult):
     def heading(self) -> str:
         """Evaluated scenes, policies, physics, data and code versions of the report."""
         metadata = self.metadata
+        details = [
+            f"wait {metadata.wait_s} s" if metadata.wait_s else "",
+            *([] if metadata.obs_mode == STATE else [f"obs_mode {metadata.obs_mode}", metadata.camera]),
+            "" if metadata.robot == PANDA else f"robot {metadata.robot}",
+            format_inference_time(metadata.inference_time),
+        ]
+        text = ", ".join(filter(None, details))
+        receiver = f"{metadata.receiver} ({text})" if text else metadata.receiver
         without = f" without {metadata.missing_package}" if metadata.missing_package else ""
         hashes = " and ".join(filter(None, (metadata.receiver_hash, metadata.giver_hash)))
         code = f", code {hashes}" if hashes else ""
         return (
-            f"{metadata.setup} {metadata.split}, {self.extent}. Receiver {self.policies_label}, "
+            f"{metadata.setup} {metadata.split}, {self.extent}. Receiver {receiver}, giver {metadata.giver}, "
             f"{metadata.physics} physics{without}, data: {self.data_label}. handover_marl {metadata.version}{code}."
         )
-
-    @property
-    def policies_label(self) -> str:
-        """Description of the receiver (wait, observation mode, robot, inference time) and the giver."""
-        metadata = self.metadata
-        details = [f"wait {metadata.wait_s} s" if metadata.wait_s else ""]
-        details += [] if metadata.obs_mode == STATE else [f"obs_mode {metadata.obs_mode}", metadata.camera]
-        details += [] if metadata.robot == PANDA else [f"robot {metadata.robot}"]
-        details.append(format_inference_time(metadata.inference_time))
-        text = ", ".join(filter(None, details))
-        return f"{metadata.receiver}{f' ({text})' if text else ''}, giver {metadata.giver}"
 
     @property
     def extent(self) -> str:
@@ -287,11 +284,9 @@ def load_report(folder: str | os.PathLike[str]) -> Report:
 
 
 def format_report_files(folder: Path, report: Report) -> dict[str, str]:
-    """Return the contents of a report's files, by file name: JSON, Markdown, web page and CSV of the episodes.
+    """Return the contents of a report's files by name: JSON, Markdown, web page and CSV.
 
-    Args:
-        folder: Result folder; the web page links to the replay pages in it.
-        report: Report to format.
+    The page links to replay pages in the result folder `folder`.
     """
     contents = (
         json.dumps(report.to_json(), indent=2, allow_nan=False) + "\n",
@@ -337,12 +332,7 @@ def _add_scene_info(path: Path, metadata: ResultMetadata, results: Iterable[Epis
 
 
 def render_report_page(report: Report, replays: Mapping[int, str] | None = None) -> str:
-    """Render a report as a self-contained web page, and return it as HTML text.
-
-    Args:
-        report: Report to render.
-        replays: Links to replay pages by scene number, relative to the page.
-    """
+    """Render a report as a self-contained web page (HTML), with relative links to replay pages by scene number."""
     links, metadata = dict(replays or {}), report.metadata
     official, objects, fluency = report.build_tables()
     settings = {key.replace("_", " "): value for key, value in asdict(metadata).items() if value}
@@ -379,7 +369,7 @@ def _group_episodes(report: Report, flag: EpisodeStatus) -> dict[str, Any]:
     return {
         "label": flag.label,
         "count": report.count(flag),
-        "percent": f"{100 * report.compute_rate(flag):.1f}",
+        "percent": rate.format(".1f").partition(" ")[0],
         "interval": rate.format_interval(),
         "low": f"{low:.2f}",
         "width": f"{high - low:.2f}",

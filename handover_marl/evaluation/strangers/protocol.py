@@ -14,25 +14,25 @@ from handover_marl.errors import OptionError, ResultsError
 from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig, build_configs
 from handover_marl.evaluation.crossplay import crossplay, resolve_policies
 from handover_marl.evaluation.reports.tables import N_EPISODES, ReportTable, TabularResult
-from handover_marl.evaluation.strangers.condition import Condition
 from handover_marl.evaluation.strangers.report import (
     COLUMNS,
     ENTRY_FILE,
     NOTE,
     OTHER_AGENT,
     StrangersReport,
+    list_differences,
     read_entry,
     read_report,
 )
 from handover_marl.evaluation.strangers.scores import compute_mean, estimate_difference
-from handover_marl.execution.files import write_atomically
+from handover_marl.execution.files import shorten_text, write_atomically
 from handover_marl.execution.options import check_path, forward_signature, require_modules
 from handover_marl.policies.populations import DEFAULT_POPULATION, load_population
 from handover_marl.policies.reference import PolicyLike
+from handover_marl.simulation.engines import FAST
 
 #: Number of scenes for each partner: 648 episodes with the 18 test givers of `strangers-v1`.
 DEFAULT_N_SCENES = 36
-FAST = "fast"
 
 
 @forward_signature(EvaluationConfig, ExecutionConfig, without=("shard",), defaults={"physics": FAST})
@@ -73,17 +73,16 @@ def strangers(
     if not isinstance(setup, EvaluationConfig):
         options.setdefault("physics", FAST)
     config, execution = build_configs(setup, options, execution, split=split)
-    if config.world_config != OFFICIAL_CONFIG:
-        raise OptionError(
-            "world_config must be the official one for strangers, got another; use crossplay for other worlds and rules"
-        )
-    if config.inference_time is not None:
-        raise OptionError(f"inference_time must be None for strangers, got {config.inference_time}; use crossplay")
+    for name, value, default in (
+        ("world_config", config.world_config, OFFICIAL_CONFIG),
+        ("inference_time", config.inference_time, None),
+        ("shard", execution.shard, None),
+    ):
+        if value != default:
+            raise OptionError(f"{name} must be left out for strangers, got {shorten_text(value)}; use crossplay")
     policies = giver if receiver is None else receiver
     if policies is None or (receiver is not None and giver is not None):
         raise OptionError("pass exactly one of receiver and giver; the population has partners for both")
-    if execution.shard is not None:
-        raise OptionError(f"shard must be left out, got {execution.shard!r}; use workers, or a Ray cluster")
     agent = "receiver" if giver is None else "giver"
     found = load_population(population, execution.trust)
     chosen = found.select(OTHER_AGENT[agent], partners)
@@ -103,11 +102,11 @@ def strangers(
     if len({policy.code_hash for policy in trainings}) < len(trainings):
         raise OptionError(f"{agent} must name different policies, got two with the same code and weights; drop one")
     others = [found.get_policy(partner) for partner in chosen]
-    givers, receivers = (others, trainings) if agent == "receiver" else (trainings, others)
+    givers, receivers = (trainings, others) if agent == "giver" else (others, trainings)
     result = crossplay(givers, receivers, config, execution=execution)
-    names, labels = (result.receivers, result.givers) if agent == "receiver" else (result.givers, result.receivers)
+    names, labels = (result.givers, result.receivers) if agent == "giver" else (result.receivers, result.givers)
     reports = {
-        (name, partner.name): result.reports[(label, name) if agent == "receiver" else (name, label)]
+        (name, partner.name): result.reports[(name, label) if agent == "giver" else (label, name)]
         for name in names
         for partner, label in zip(chosen, labels, strict=True)
     }
@@ -122,26 +121,28 @@ class Leaderboard(TabularResult):
     """Evaluations of several methods with the same partners. `str` returns Markdown tables.
 
     Attributes:
-        reports: Reports, the methods with the largest average success (AS) first, and the splits of a method one
-            after the other. All reports of a split have the same scenes.
-        names: Name of the method of every report.
+        reports: Report of every (name of the method, split of the scenes), the methods with the largest average success
+            (AS) first, and the splits of a method one after the other. All reports of a split have the same scenes.
     """
 
-    reports: tuple[StrangersReport, ...]
-    names: tuple[str, ...]
-
-    @property
-    def splits(self) -> dict[str, list[int]]:
-        """Indices of the evaluations in `reports`, by their split of scenes."""
-        found: dict[str, list[int]] = {}
-        for number, report in enumerate(self.reports):
-            found.setdefault(report.condition.split, []).append(number)
-        return found
+    reports: dict[tuple[str, str], StrangersReport]
 
     @property
     def titles(self) -> list[str]:
         """Titles of the reports in tables: name of the method and split of the scenes."""
-        return [f"{name}, {report.condition.split}" for name, report in zip(self.names, self.reports, strict=True)]
+        return [", ".join(key) for key in self.reports]
+
+    @property
+    def conditions(self) -> str:
+        """Scenes, simulation and data of the evaluations as text."""
+        firsts = {split: report.first_report for (_, split), report in self.reports.items()}
+        scenes = [f"{len(report.episodes)} scenes of {split}" for split, report in firsts.items()]
+        report = next(iter(firsts.values()))
+        metadata = report.metadata
+        return (
+            f"{metadata.setup}, {' and '.join(scenes)} each, {metadata.physics} physics, seed {metadata.seed}, data: "
+            f"{report.data_label}, handover_marl {metadata.version}"
+        )
 
     def write_heat_map(self, path: Path) -> None:
         """Write a heat map of the success rates by partner and method as PNG; requires the extra `plot`.
@@ -153,63 +154,41 @@ class Leaderboard(TabularResult):
         require_modules("the heat map", "plot", "matplotlib")
         from handover_marl.visualization.pictures import draw_heat_map
 
-        first = self.reports[0]
-        rates = np.stack([report.successes.mean(axis=(0, 2)) for report in self.reports], axis=1).tolist()
+        first = next(iter(self.reports.values()))
+        rates = np.stack([report.successes.mean(axis=(0, 2)) for report in self.reports.values()], axis=1).tolist()
         partners = [f"{partner.name} ({partner.family})" for partner in first.partners]
-        title = f"{first.population}\n{self._describe_conditions()}"
         labels = (OTHER_AGENT[first.agent], first.agent)
+        title = f"{first.population}\n{self.conditions}"
         write_atomically(path, draw_heat_map(rates, partners, self.titles, title, labels))
 
     def build_sections(self) -> list[str | ReportTable]:
         """Build heading, tables (scores, differences to the first method, success by family) and notes."""
-        first = self.reports[0]
+        first = next(iter(self.reports.values()))
+        scores, differences, baselines = [], [], dict[str, tuple[str, StrangersReport]]()
+        for (name, split), report in self.reports.items():
+            found, robot = report.estimate_all(), report.first_report.metadata.robot
+            cells = [found[key].format() for key in COLUMNS]
+            scores.append([name, split, len(report.policies), robot, *cells, report.scores.size])
+            best, base = baselines.setdefault(split, (name, report))
+            if report is not base:
+                arrays = [(getattr(base, kind), getattr(report, kind)) for kind in ("successes", "contacts", "scores")]
+                gains = [estimate_difference(compute_mean, *pair, base.partner_families) for pair in arrays]
+                differences.append([best, name, split, *(gain.format("+.1f") for gain in gains)])
+        families = [
+            [family, *(f"{100 * report.successes[:, chosen].mean():.1f}" for report in self.reports.values())]
+            for family, chosen in first.families.items()
+        ]
+        gain_titles = ["success, points", "contact, points", "AS, points"]
         return [
             f"{len(first.partners)} partners of {first.population}, families of {first.partner_split}; "
-            f"{self._describe_conditions()}.",
-            self._build_scores(),
-            self._build_differences(),
-            self._build_families(),
+            f"{self.conditions}.",
+            ReportTable(
+                ["method", "split", "trainings", "robot", *COLUMNS.values(), N_EPISODES.title], scores, n_keys=2
+            ),
+            ReportTable(["method", "minus", "split", *gain_titles], differences, n_keys=3),
+            ReportTable(["family", *(f"{title}: success %" for title in self.titles)], families),
             f"{NOTE} Differences are paired by partner and scene.",
         ]
-
-    def _describe_conditions(self) -> str:
-        condition, report = self.reports[0].condition, self.reports[0].first_report
-        scenes = [
-            f"{len(self.reports[rows[0]].condition.scenes)} scenes of {split}" for split, rows in self.splits.items()
-        ]
-        return (
-            f"{condition.setup}, {' and '.join(scenes)} each, {condition.physics} physics, seed {condition.seed}, "
-            f"data: {report.data_label}, handover_marl {condition.version}"
-        )
-
-    def _build_scores(self) -> ReportTable:
-        rows = []
-        for name, report in zip(self.names, self.reports, strict=True):
-            found, metadata = report.estimate_all(), report.first_report.metadata
-            cells = [found[key].format() for key in COLUMNS]
-            rows.append([name, metadata.split, len(report.policies), metadata.robot, *cells, report.scores.size])
-        header = ["method", "split", "trainings", "robot", *COLUMNS.values(), N_EPISODES.title]
-        return ReportTable(header, rows, n_keys=2)
-
-    def _build_differences(self) -> ReportTable:
-        rows = []
-        for split, (first, *others) in self.splits.items():
-            one = self.reports[first]
-            for other in others:
-                two, families = self.reports[other], one.partner_families
-                arrays = [(one.successes, two.successes), (one.contacts, two.contacts), (one.scores, two.scores)]
-                found = [estimate_difference(compute_mean, *each, families) for each in arrays]
-                cells = [each.format("+.1f") for each in found]
-                rows.append([self.names[first], self.names[other], split, *cells])
-        titles = ["success, points", "contact, points", "AS, points"]
-        return ReportTable(["method", "minus", "split", *titles], rows, n_keys=3)
-
-    def _build_families(self) -> ReportTable:
-        rows = [
-            [family, *(f"{100 * each.successes[:, chosen].mean():.1f}" for each in self.reports)]
-            for family, chosen in self.reports[0].families.items()
-        ]
-        return ReportTable(["family", *(f"{title}: success %" for title in self.titles)], rows)
 
 
 def make_leaderboard(
@@ -236,36 +215,28 @@ def make_leaderboard(
     """
     if not folders:
         raise OptionError("folders must name at least one folder of handover-marl strangers, got none")
-    found, paths = load_population(population, trust), [check_path("folder", folder) for folder in folders]
-    reports = [read_report(path, found) for path in paths]
-    methods = [", ".join(report.policies) for report in reports] if names is None else names
-    _check_comparable(paths, methods, reports)
-    # Methods are sorted by their AS on the split of the first folder; each method's splits follow one another.
-    splits = [*dict.fromkeys(report.condition.split for report in reports)]
-    rows = list(zip(methods, reports, strict=True))
-    rows.sort(key=lambda row: (splits.index(row[1].condition.split), -row[1].scores.mean()))
-    order = [*dict.fromkeys(name for name, _ in rows)]
-    rows.sort(key=lambda row: order.index(row[0]))
-    return Leaderboard(tuple(report for _, report in rows), tuple(name for name, _ in rows))
-
-
-def _check_comparable(paths: Sequence[Path], names: Sequence[str], reports: Sequence[StrangersReport]) -> None:
-    """Check that reports have the same partners and simulation, and those of a split the same scenes."""
-    first = reports[0]
-    folders: dict[tuple[str, str], Path] = {}
-    firsts: dict[str, Condition] = {}
-    for path, name, report in zip(paths, names, reports, strict=True):
-        condition = report.condition
-        if (known := folders.setdefault((name, condition.split), path)) is not path:
+    found, conditions = load_population(population, trust), dict[object, dict[str, object]]()
+    reports: dict[tuple[str, str], StrangersReport] = {}
+    for number, folder in enumerate(folders):
+        path = check_path("folder", folder)
+        report = read_report(path, found)
+        name = ", ".join(report.policies) if names is None else names[number]
+        condition, split = report.condition, report.first_report.metadata.split
+        if (name, split) in reports:
             raise OptionError(
-                f"folders must have one evaluation of {name!r} with the split {condition.split}, got {known} and "
-                f"{path}; name the methods, as NAME=DIR"
+                f"folders must have one evaluation of {name!r} with the split {split}, got another one in {path}; name "
+                "the methods, as NAME=DIR"
             )
-        differences = {*condition.list_differences(first.condition)} - {"split", "scenes", "data"}
-        differences.update(condition.list_differences(firsts.setdefault(condition.split, condition)))
-        differences.update(["partners"] if report.partner_codes != first.partner_codes else [])
+        reports[name, split] = report
+        differences = {*list_differences(condition, conditions.setdefault("", condition))} - {"split", "scenes", "data"}
+        differences.update(list_differences(condition, conditions.setdefault(split, condition)))
         if differences:
             raise ResultsError(
                 f"{path} must have the {' and '.join(sorted(differences))} of the other folders; evaluate with the "
                 "same version, partners, seed, scenes, data and physics"
             )
+    # Methods are sorted by their AS on the split of the first folder; each method's splits follow one another.
+    splits = list(dict.fromkeys(split for _, split in reports))
+    keys = sorted(reports, key=lambda key: (splits.index(key[1]), -reports[key].scores.mean()))
+    order = list(dict.fromkeys(name for name, _ in keys))
+    return Leaderboard({key: reports[key] for key in sorted(keys, key=lambda key: order.index(key[0]))})

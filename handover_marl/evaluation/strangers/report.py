@@ -4,8 +4,9 @@ In an output folder, `strangers.json` lists the pairs of policies, which have of
 """
 
 import functools
+import itertools
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -31,7 +32,6 @@ from handover_marl.evaluation.reports.tables import (
     format_percent_rate,
 )
 from handover_marl.evaluation.results import EpisodeResult
-from handover_marl.evaluation.strangers.condition import Condition
 from handover_marl.evaluation.strangers.scores import (
     compute_max_over_partners,
     compute_mean,
@@ -46,6 +46,7 @@ from handover_marl.policies.populations import Partner, Population
 Array = npt.NDArray[np.float64]
 ENTRY_FILE, TABLES_FILE = "strangers.json", "strangers.md"
 _MAX_BYTES = 10_000_000
+_CONDITION = ("dataset", "setup", "split", "physics", "seed", "version")
 #: Agent of the partners, by the agent of the evaluated policies.
 OTHER_AGENT = {"receiver": "giver", "giver": "receiver"}
 _PARTNER_METRICS = ("max_robot_hand_force", "max_robot_object_force", "human_idle")
@@ -103,15 +104,11 @@ class StrangersReport(TabularResult):
         return {family: [number for number, name in enumerate(names) if name == family] for family in names}
 
     @property
-    def condition(self) -> Condition:
-        """Scenes, their data and simulation, the same in all reports."""
-        return Condition.from_report(self.agent, self.first_report)
-
-    @property
-    def partner_codes(self) -> dict[str, str]:
-        """Hash of code and weights of every partner, by name."""
+    def condition(self) -> dict[str, object]:
+        """Condition of the evaluation by name: `describe_condition` of all reports, evaluated agent and partners."""
         key = f"{OTHER_AGENT[self.agent]}_hash"
-        return {partner: getattr(report.metadata, key) for (_, partner), report in self.reports.items()}
+        codes = {partner: getattr(report.metadata, key) for (_, partner), report in self.reports.items()}
+        return {**describe_condition(self.first_report), "agent": self.agent, "partners": codes}
 
     @functools.cached_property
     def scores(self) -> Array:
@@ -129,10 +126,9 @@ class StrangersReport(TabularResult):
         return self._collect(lambda episode: float(bool(episode.status & EpisodeStatus.HUMAN_CONTACT)))
 
     def _collect(self, measure: Callable[[EpisodeResult], float]) -> Array:
-        return np.array(
-            [[[measure(each) for each in self.reports[policy, partner.name].episodes] for partner in self.partners]
-             for policy in self.policies]
-        )  # fmt: skip
+        rows = itertools.product(self.policies, self.partners)
+        values = [[measure(each) for each in self.reports[policy, partner.name].episodes] for policy, partner in rows]
+        return np.array(values).reshape(len(self.policies), len(self.partners), -1)
 
     def estimate_all(self) -> dict[str, Estimate]:
         """Return estimates (0..1) of success, contact, AS and worst partner, by key."""
@@ -160,32 +156,26 @@ class StrangersReport(TabularResult):
 
     def build_sections(self) -> list[str | ReportTable]:
         """Build heading, tables (summary, families, partners) and notes."""
-        report, metadata = self.first_report, self.first_report.metadata
+        report, metadata, found = self.first_report, self.first_report.metadata, self.estimate_all()
+        titles = COLUMNS | {
+            "worst_partner_success": f"success % with the worst partner ({self.find_worst_partner().name})",
+            "largest_partner_contact": "contact % with the partner with most contacts",
+        }
+        summary = [[title, found[key].format()] for key, title in titles.items()]
+        families = [
+            [family, *(mean.format() for mean in self._estimate_means(chosen).values()), self.scores[:, chosen].size]
+            for family, chosen in self.families.items()
+        ]
         return [
             f"{self.agent.capitalize()} {', '.join(self.policies)} with {len(self.partners)} "
             f"{OTHER_AGENT[self.agent]}s of {self.population}, families of {self.partner_split}.\n{metadata.setup} "
             f"{metadata.split}, {report.extent} for each, {metadata.physics} physics, seed {metadata.seed}, data: "
             f"{report.data_label}. handover_marl {metadata.version}.",
-            self._build_summary(),
-            self._build_family_table(),
+            ReportTable(["metric", "value (95 % interval)"], summary),
+            ReportTable(["family", "success %", "contact %", "AS %", N_EPISODES.title], families),
             self._build_partner_table(),
             NOTE,
         ]
-
-    def _build_summary(self) -> ReportTable:
-        worst = f"success % with the worst partner ({self.find_worst_partner().name})"
-        titles = {**COLUMNS, "worst_partner_success": worst}
-        titles["largest_partner_contact"] = "contact % with the partner with most contacts"
-        found = self.estimate_all()
-        rows = [[title, found[key].format()] for key, title in titles.items() if key in found]
-        return ReportTable(["metric", "value (95 % interval)"], rows)
-
-    def _build_family_table(self) -> ReportTable:
-        rows = [
-            [family, *(found.format() for found in self._estimate_means(chosen).values()), self.scores[:, chosen].size]
-            for family, chosen in self.families.items()
-        ]
-        return ReportTable(["family", "success %", "contact %", "AS %", N_EPISODES.title], rows)
 
     def _build_partner_table(self) -> ReportTable:
         rows = []
@@ -210,6 +200,23 @@ class StrangersReport(TabularResult):
         content = {**{name: getattr(self, name) for name in names}, "folders": folders}
         write_atomically(folder / ENTRY_FILE, json.dumps(content, indent=1) + "\n")
         write_atomically(folder / TABLES_FILE, f"# Strangers\n\n{self}\n")
+
+
+def describe_condition(report: Report) -> dict[str, object]:
+    """Return the condition of an evaluation by name: simulation, scene numbers and data of each scene.
+
+    Scores are comparable only under the same condition.
+    """
+    return {
+        **{name: getattr(report.metadata, name) for name in _CONDITION},
+        "scenes": [episode.scene_id for episode in report.episodes],
+        "data": [(each.fingerprint, each.n_objects, each.models) for each in report.episodes],
+    }
+
+
+def list_differences(first: Mapping[str, object], second: Mapping[str, object]) -> list[str]:
+    """Return the names of the values in which two conditions differ."""
+    return [name for name, value in first.items() if value != second[name]]
 
 
 def read_entry(folder: Path) -> dict[str, Any]:
@@ -238,13 +245,7 @@ def read_entry(folder: Path) -> dict[str, Any]:
 
 
 def read_report(folder: Path, population: Population) -> StrangersReport:
-    """Compute the report of a folder from its result folders.
-
-    Every value is computed from the results of the episodes; `strangers.json` only lists them.
-
-    Args:
-        folder: Output folder of `strangers`.
-        population: Population of the evaluation.
+    """Compute the report of an output folder of `strangers` with a population from the results of the episodes.
 
     Raises:
         OptionError: The folder is of another population.
@@ -264,8 +265,7 @@ def read_report(folder: Path, population: Population) -> StrangersReport:
         for partner, name in folders.items():
             report = reports[policy, partner] = load_report(folder / name)
             first, metadata = next(iter(reports.values())), report.metadata
-            conditions = [Condition.from_report(agent, each) for each in (report, first)]
-            differences = conditions[0].list_differences(conditions[1])
+            differences = list_differences(describe_condition(report), describe_condition(first))
             differences += [] if getattr(metadata, agent) == policy else [f"label {policy!r}"]
             differences += [] if metadata.world == OFFICIAL_WORLD else ["official rules"]
             if differences:

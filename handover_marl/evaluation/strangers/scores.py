@@ -39,25 +39,18 @@ def compute_max_over_partners(returns: Array) -> float:
 
 
 def estimate(statistic: Statistic, scores: Array, families: Sequence[str] | None) -> Estimate:
-    """Estimate a statistic with a 95 % interval that covers the variation of policies, families and scenes.
+    """Estimate a statistic of scores (policies, partners, scenes), 0 to 1, with a 95 % interval.
 
-    Args:
-        statistic: Function of returns (policies, partners).
-        scores: Scores (policies, partners, scenes) from 0 to 1.
-        families: Family of every partner; the jackknife leaves out a family at a time, or a partner if there is one
-            family. None leaves out none, as for the worst partner.
+    The interval covers the variation of policies, families and scenes. The jackknife leaves out a family of partners at
+    a time, or a partner if there is one family; None leaves out none, as for the worst partner.
     """
     return _estimate(lambda own: statistic(own.mean(axis=-1)), [scores], families, 0.0)
 
 
 def estimate_rate(statistic: Statistic, flags: Array, families: Sequence[str] | None) -> Estimate:
-    """Estimate a rate with a 95 % interval that is at least as wide as Wilson's interval for the number of episodes.
+    """Estimate a rate of outcomes (policies, partners, scenes), 0 or 1, with an interval as wide as Wilson's or wider.
 
-    Args:
-        statistic: Function of returns (policies, partners), which are here shares of scenes.
-        flags: Outcomes (policies, partners, scenes), 0 or 1.
-        families: Family of every partner, of which the jackknife leaves out one at a time; None for the rate with one
-            of the partners, e.g. the worst.
+    Families are as in `estimate`; None is for the rate with one of the partners, e.g. the worst.
     """
     value, error, quantile = _apply_jackknife(lambda own: statistic(own.mean(axis=-1)), [flags], families)
     n = flags.size if families is not None else flags.size // flags.shape[1]
@@ -70,11 +63,7 @@ def estimate_rate(statistic: Statistic, flags: Array, families: Sequence[str] | 
 def estimate_difference(statistic: Statistic, first: Array, second: Array, families: Sequence[str] | None) -> Estimate:
     """Estimate the difference of a statistic of two methods, first minus second, paired by partner and scene.
 
-    Args:
-        statistic: Function of returns (policies, partners).
-        first: Scores (policies, partners, scenes) of the first method.
-        second: Scores of the second method with the same partners and scenes; its number of policies may differ.
-        families: Family of every partner, of which the jackknife leaves out one at a time; None leaves out none.
+    The numbers of policies may differ. Arguments are as in `estimate`.
     """
 
     def compute(one: Array, other: Array) -> float:

@@ -256,8 +256,4 @@ def test_wrong_tensors_are_refused(make: Callable[[], Any], message: str, arrays
 def test_tensors_on_a_device_are_refused_without_a_simulation_there() -> None:
     with pytest.raises(ActionError, match="must be an array"):
         check_action_array(torch.zeros(COUNT, 2, device="cuda"), ACTIONS, COUNT, "receiver")
-    actions = torch.zeros(COUNT, 2)
-    values = check_action_array(actions, ACTIONS, COUNT, "receiver")
-    assert type(values) is np.ndarray
-    values[0, 0] = 1.0
-    assert actions[0, 0] == 1.0, "memory is shared"
+    assert type(check_action_array(torch.zeros(COUNT, 2), ACTIONS, COUNT, "receiver")) is np.ndarray

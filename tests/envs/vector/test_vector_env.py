@@ -15,7 +15,7 @@ pytest.importorskip("mujoco", reason="needs MuJoCo")
 
 import handover_marl
 from handover_marl.config import WorldConfig
-from handover_marl.envs.vector.array_episodes import ArrayEpisodes
+from handover_marl.envs.vector.array_envs import ArrayEpisodes
 from handover_marl.envs.vector.vector_env import HandoverVectorEnv
 from handover_marl.envs.wrappers.control_agent import control_agent
 from handover_marl.envs.wrappers.wrapper import SingleAgentEnv
@@ -387,7 +387,7 @@ def test_vector_environments_cannot_be_copied(three: HandoverVectorEnv) -> None:
 
 def test_two_threads_at_once_are_refused(three: HandoverVectorEnv, monkeypatch: pytest.MonkeyPatch) -> None:
     three.reset(seed=1)
-    envs = three._batch._envs
+    envs = three._envs._envs
     simulate = envs.step
 
     def step_twice(rows: Any, actions: Any) -> Any:

@@ -75,7 +75,7 @@ def test_the_text_states_what_was_evaluated() -> None:
     assert "not the official ones (another)" in text
     assert "exact physics" in text
     plain = report(1, 2)
-    assert "(" not in plain.policies_label
+    assert "Receiver mine, giver replay" in plain.heading
     assert "not the official ones" not in plain.format_notes()
     assert cells(str(plain), "mine", "wait s") == ["-"]
     assert cells(str(plain), "published: GA-DDPG w/o hold", "AS %", "wait s") == ["23.60*", "0"]
