@@ -83,25 +83,6 @@ class SetupArgs(DatasetArgs):
 
 
 @dataclass(frozen=True)
-class EvaluationArgs(SetupArgs):
-    """Arguments of scripts that evaluate policies.
-
-    Attributes:
-        physics: Physics engine: fast, exact or mujoco.
-        workers: Number of worker processes; default: one per core.
-    """
-
-    physics: str = "fast"
-    workers: int | None = None
-
-    @property
-    def evaluation_options(self) -> dict[str, Any]:
-        """Keyword arguments with these values for `handover_marl.evaluate_pair` and `handover_marl.benchmark`."""
-        names = ("setup", "dataset", "data_dir", "physics", "workers")
-        return {name: getattr(self, name) for name in names}
-
-
-@dataclass(frozen=True)
 class RlArgs(SetupArgs):
     """Arguments of scripts that train policies by PPO.
 
