@@ -12,7 +12,7 @@ TensorBoard logs, the views, and a checkpoint, from which `--resume` continues.
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,9 +20,9 @@ import torch
 
 from handover_marl.datasets import open_dataset
 from handover_marl.learning.imitation.run import ImitationArgs, ImitationRun
-from handover_marl.learning.imitation.samples import join_samples
+from handover_marl.learning.imitation.samples import generate_samples, join_samples
 from handover_marl.learning.imitation.vision.training import GraspLearner, ViewBatches
-from handover_marl.learning.imitation.vision.views import GraspViewConfig, GraspViews, generate_views
+from handover_marl.learning.imitation.vision.views import GraspViews, ViewRenderer
 from handover_marl.learning.networks.grasp_network import GraspNetwork
 from handover_marl.learning.training.scene_arguments import run_script, select_held_out_scenes, select_training_scenes
 
@@ -59,8 +59,11 @@ def load_views(args: Args, run: ImitationRun, dataset: str, scenes: Sequence[int
     if dataset != args.dataset:
         folder, data_dir = folder / re.sub(r"\W+", "-", dataset), None
     seed = args.seed if args.views_seed is None else args.views_seed
-    config = GraspViewConfig(dataset, data_dir, args.robot, args.views, seed)
-    return generate_views(config, scenes, folder, args.workers)
+
+    def make_renderer() -> Callable[[int], GraspViews]:
+        return ViewRenderer(open_dataset(dataset, data_dir, args.robot), args.views, seed).render_scene
+
+    return join_samples(generate_samples(GraspViews, folder, scenes, make_renderer, "rendering views", args.workers))
 
 
 def main(args: Args) -> Path:

@@ -122,7 +122,7 @@ class GaddpgNetwork(SavedNetwork):
         return output
 
     def predict_step(self, points: npt.NDArray[np.float64], remaining: int) -> npt.NDArray[np.float32]:
-        """Return the next motion of the robot's hand for one cloud, as `predict_steps` does for several.
+        """Return the next motion of the robot's hand for one cloud, computed in one thread.
 
         Args:
             points: (4, 1024 or 1030) cloud as in `forward`.
@@ -131,34 +131,16 @@ class GaddpgNetwork(SavedNetwork):
         Returns:
             (6,) translation (m) and extrinsic xyz Euler angles (rad) in the hand link's frame.
         """
-        step: npt.NDArray[np.float32] = self.predict_steps(points[None], np.array([float(remaining)]))[0]
-        return step
-
-    def predict_steps(
-        self, clouds: npt.NDArray[np.float64], remaining: npt.NDArray[np.float64]
-    ) -> npt.NDArray[np.float32]:
-        """Return the next motion of the robot's hand for each of B clouds, computed in one thread.
-
-        Args:
-            clouds: (B, 4, 1024) points of the object, xyz in the hand link's frame (m) and a zero; or (B, 4, 1030) with
-                six points of the gripper before them.
-            remaining: (B,) numbers of decisions that remain in the approach.
-
-        Returns:
-            (B, 6) translations (m) and extrinsic xyz Euler angles (rad) in the hand link's frame.
-        """
         self.eval()
-        device = next(self.parameters()).device
         with single_threaded_inference():
-            cloud = torch.from_numpy(clouds.astype(np.float32)).to(device)
-            output = self(cloud, torch.from_numpy(remaining.astype(np.float32)).to(device))
+            output = self(torch.from_numpy(points[None].astype(np.float32)), torch.tensor([float(remaining)]))
         if self.spare_steps is None:
-            action: npt.NDArray[np.float32] = output.action.cpu().numpy()
+            action: npt.NDArray[np.float32] = output.action[0].numpy()
             return action
-        goals = output.goal.cpu().numpy().astype(np.float64)
-        poses = np.concatenate([goals[:, 4:], normalize_quaternions(goals[:, [1, 2, 3, 0]])], axis=1)
-        present = np.tile(IDENTITY, (len(goals), 1))
-        return compute_approach_steps(present, poses, remaining, self.spare_steps).astype(np.float32)
+        goal = output.goal.numpy().astype(np.float64)
+        pose = np.concatenate([goal[:, 4:], normalize_quaternions(goal[:, [1, 2, 3, 0]])], axis=1)
+        steps = compute_approach_steps(IDENTITY[None], pose, np.array([float(remaining)]), self.spare_steps)
+        return steps[0].astype(np.float32)
 
     def get_settings(self) -> dict[str, Any]:
         """Return the constructor's arguments in JSON types, with the keys of the shipped file."""

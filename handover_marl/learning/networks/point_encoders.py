@@ -14,6 +14,8 @@ from torch import Tensor, nn
 #: Squared distance from the origin (m^2) up to which the kernels treat a point as padding: it is
 #: never sampled except as the first point.
 PADDING_SQUARED_NORM = 1e-3
+# Largest number of points of a group in a training; the second set abstraction has no more points.
+_MAX_TRAINED_NEIGHBORS = 32
 
 
 def sample_farthest_points(points: Tensor, count: int) -> Tensor:
@@ -123,7 +125,10 @@ class SetAbstraction(nn.Module):
         else:
             columns = gather_columns(xyz, sample_farthest_points(positions, self.grouping.centers))
             centers = columns.transpose(1, 2)
-            near = query_ball(positions, centers, self.grouping.radius, self.grouping.neighbors)
+            count = self.grouping.neighbors
+            # Repeated points do not change the maximum of a group, but take time in a training.
+            count = min(count, _MAX_TRAINED_NEIGHBORS) if self.training else count
+            near = query_ball(positions, centers, self.grouping.radius, count)
             relative = gather_columns(xyz, near) - columns[..., None]
             groups = torch.cat([relative, gather_columns(features, near)], dim=1)
         return centers, self.mlps[0](groups).amax(dim=-1)

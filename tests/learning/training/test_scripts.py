@@ -13,7 +13,7 @@ from handover_marl.datasets import DATA_DIR_VARIABLE
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.envs.rewards import SHAPED
 from handover_marl.errors import ResultsError, UnknownNameError
-from handover_marl.learning.imitation.vision.views import GraspViewConfig
+from handover_marl.learning.imitation.vision.views import ViewRenderer
 from handover_marl.learning.training.run_folder import open_run_folder
 from handover_marl.policies.reference import parse_policy
 from tests.helpers.short_episodes import shorten_episodes
@@ -102,7 +102,7 @@ def test_a_wrong_name_leaves_no_folder(tmp_path: Path, monkeypatch: pytest.Monke
 def test_train_vision(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("embreex")
     train = script("train_vision", monkeypatch)
-    monkeypatch.setattr(train, "GraspViewConfig", functools.partial(GraspViewConfig, reactive=QUICK_REACTIVE))
+    monkeypatch.setattr(train, "ViewRenderer", functools.partial(ViewRenderer, reactive=QUICK_REACTIVE))
     evaluated = evaluate_hold(monkeypatch)
     few = {"dataset": "synthetic", "updates": 2, "views": 2, "batch_size": 8, "stride": 400, "workers": 1}
     few["extra_datasets"] = ("generated:n=30,seed=7,procedural=0",)

@@ -13,8 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.config import ARM_DOF, TABLE_HEIGHT
 from handover_marl.geometry.distance_field import load_object_sdf
-from handover_marl.geometry.panda import HALF_TURN, OPEN, PAD_DISTANCE
+from handover_marl.geometry.panda import OPEN, PAD_DISTANCE
 from handover_marl.geometry.poses import compose, invert_pose
+from handover_marl.learning.grasp_costs import load_validated_grasps
 from handover_marl.learning.imitation.gaddpg.scenarios import ImitationScenario
 from handover_marl.learning.networks.approach_field import compute_approach_steps
 from handover_marl.planning.arm_control import ArmInWorld
@@ -23,8 +24,6 @@ from handover_marl.planning.planner import OBJECT_PADDING, Planner, PlannerConfi
 from handover_marl.planning.robot_clearance import Spheres, compute_grasp_clearances, compute_gripper_corners
 from handover_marl.planning.trajectory_cost import Obstacle
 from handover_marl.policies.policy import PolicyContext
-from handover_marl.receivers.reactive.config import ReactiveConfig
-from handover_marl.receivers.reactive.grasp_contact import compute_hold_costs, load_graspable_object
 from handover_marl.receivers.reactive.grasps import compute_grasp_distances
 
 Array = npt.NDArray[np.float64]
@@ -66,36 +65,6 @@ _CLEARANCE, _SWEEP, _CLEARANCE_COST = 0.01, 0.08, 20.0
 _TABLE_CLEARANCE, _TABLE_COST = 0.005, 3.0
 
 
-class KinematicArm:
-    """Kinematic model of the arm with lagging motors, controlled as the receiver `gaddpg` controls the arm.
-
-    Args:
-        context: Model and base pose of the robot.
-
-    Raises:
-        SimulationError: The robot's model cannot be loaded.
-
-    Attributes:
-        arm: Kinematics of the arm.
-    """
-
-    def __init__(self, context: PolicyContext) -> None:
-        self.arm = ArmInWorld.for_panda(context.panda_urdf, context.panda)
-        self._stepper = make_ik_stepper(context.panda_urdf, context.panda)
-
-    def compute_next_joints(self, joints: Array, step: Array) -> Array:
-        """Return the arm joints (7,) in rad 0.15 s after a decision that commands a motion of the Panda's hand link.
-
-        Args:
-            joints: (7,) present arm joints (rad).
-            step: (6,) commanded motion in the hand link's frame: translation (m) and extrinsic xyz Euler angles (rad).
-        """
-        rotation = Rotation.from_euler("xyz", step[3:]).as_quat()
-        target = compose(self.arm.compute_hand_pose(joints), np.concatenate([step[:3], rotation]))
-        solution = self._stepper.solve_step([*joints, OPEN, OPEN], target[:3], target[3:])[:ARM_DOF]
-        return np.clip(joints + _SETTLED_FRACTION * (solution - joints), *self.arm.limits)
-
-
 class ExpertPlan(NamedTuple):
     """Plan of the expert: goal grasps (none if none is reachable) and a trajectory to the first one.
 
@@ -121,30 +90,34 @@ _NO_PLAN = ExpertPlan(np.zeros((0, 7)), np.zeros(0), np.zeros((0, ARM_DOF)))
 
 
 class GraspExpert:
-    """Planner of the motions that the network of the receiver `gaddpg` imitates.
+    """Planner of the motions that the network of the receiver `gaddpg` imitates, and model of the arm that makes them.
 
     Args:
         context: Robot, and objects with their known grasps.
-        arm: Model of the arm as the receiver `gaddpg` controls it.
+
+    Attributes:
+        arm: Kinematics of the arm.
+
+    Raises:
+        SimulationError: The robot's model cannot be loaded.
     """
 
-    def __init__(self, context: PolicyContext, arm: KinematicArm) -> None:
-        self._context, self._arm = context, arm
-        panda = context.panda
-        self._world_from_base = np.array([*panda.base_position, *panda.base_orientation])
-        start = np.array(panda.start_joints[:ARM_DOF])
-        self._planner = Planner(context.panda_urdf, start, _PLANNER)
+    def __init__(self, context: PolicyContext) -> None:
+        self._context, panda = context, context.panda
+        self.arm = ArmInWorld.for_panda(context.panda_urdf, panda)
+        self._stepper = make_ik_stepper(context.panda_urdf, panda)
+        self._planner = Planner(context.panda_urdf, np.array(panda.start_joints[:ARM_DOF]), _PLANNER)
 
     def plan(self, scenario: ImitationScenario) -> ExpertPlan:
         """Return the expert's plan in a scenario; the plan has no goals if no grasp is reachable."""
-        goals, costs = self.find_goals(scenario.object_name, scenario.object_pose, scenario.joints, scenario.occluder)
+        goals, costs = self._find_goals(scenario)
         if not len(goals):
             return _NO_PLAN
-        approach = self._simulate_approach(scenario.joints, goals[0])
-        if self._compute_miss(approach[-1], goals[0]) > _MAX_MISS:
+        reached = self._simulate_approach(scenario.joints, goals[0])[-1]
+        if self._compute_miss(reached, goals[0]) > _MAX_MISS:
             return _NO_PLAN
         self._planner.set_start(scenario.joints)
-        base_from_world = invert_pose(self._world_from_base)
+        base_from_world = invert_pose(self.arm.base)
         sdf = load_object_sdf(self._context.find_object_urdf(scenario.object_name), OBJECT_PADDING)
         obstacle = Obstacle(sdf, compose(base_from_world, scenario.object_pose), OBJECT_PADDING)
         plan = self._planner.plan(compose(base_from_world, goals), [obstacle])
@@ -153,36 +126,6 @@ class GraspExpert:
         first = int(plan.goals.grasps[plan.chosen])
         order = np.array([first, *(number for number in range(len(goals)) if number != first)])
         return ExpertPlan(goals[order], costs[order] - costs.min(), plan.trajectory)
-
-    def find_goals(self, object_name: str, object_pose: Array, joints: Array, occluder: Array) -> tuple[Array, Array]:
-        """Return at most four reachable grasps of lowest cost, and their costs.
-
-        Args:
-            object_name: Class name of the object.
-            object_pose: (7,) world pose of the object, quaternion xyzw.
-            joints: (7,) present arm joints (rad).
-            occluder: (4,) world center and radius of the occluding sphere (m); radius 0 for none.
-
-        Returns:
-            (g, 7) world poses of the hand link, cheapest first if the distance from the present pose counts, and (g,)
-            costs (m) that exclude this distance.
-        """
-        poses, hold_costs = load_costed_grasps(self._context, object_name)
-        if not len(poses):
-            return np.zeros((0, 7)), np.zeros(0)
-        world, hand = compose(object_pose, poses), self._arm.arm.compute_hand_pose(joints)
-        grasp_costs = hold_costs + compute_grasp_costs(world, hand, occluder)
-        candidates = np.flatnonzero(self._are_reachable(world, joints))
-        candidates = candidates[np.argsort(grasp_costs[candidates], kind="stable")][:_N_CANDIDATES]
-        costs, best = np.full(len(world), np.inf), np.inf
-        for number in candidates:
-            # The cost of the approach is positive, so that more expensive grasps can be skipped.
-            if grasp_costs[number] < best + _MAX_EXCESS_COST:
-                costs[number] = grasp_costs[number] + self._compute_approach_cost(joints, world[number])
-                best = min(best, costs[number])
-        order = np.argsort(costs, kind="stable")[:_PLANNER_GOALS]
-        order = order[costs[order] < best + _MAX_EXCESS_COST]
-        return world[order], costs[order] - compute_grasp_distances(hand, world[order], _ROTATION_COST, PAD_DISTANCE)
 
     def compute_step(self, hand: Array, goal: Array, remaining: int) -> Array:
         """Return the motion (6,) of the Panda's hand link that one decision commands towards a goal grasp.
@@ -197,11 +140,49 @@ class GraspExpert:
         step: Array = compute_approach_steps(hand[None], goal[None], np.array([remaining]), EXPERT_SPARE_STEPS)[0]
         return step
 
+    def compute_next_joints(self, joints: Array, step: Array) -> Array:
+        """Return the arm joints (7,) in rad 0.15 s after a decision of the receiver `gaddpg`; the motors lag behind.
+
+        Args:
+            joints: (7,) present arm joints (rad).
+            step: (6,) commanded motion, as `compute_step` returns it.
+        """
+        rotation = Rotation.from_euler("xyz", step[3:]).as_quat()
+        target = compose(self.arm.compute_hand_pose(joints), np.concatenate([step[:3], rotation]))
+        solution = self._stepper.solve_step([*joints, OPEN, OPEN], target[:3], target[3:])[:ARM_DOF]
+        return np.clip(joints + _SETTLED_FRACTION * (solution - joints), *self.arm.limits)
+
+    def _find_goals(self, scenario: ImitationScenario) -> tuple[Array, Array]:
+        """Return at most four reachable grasps of lowest cost, and their costs.
+
+        Returns:
+            (g, 7) world poses of the hand link, cheapest first if the distance from the present pose counts, and (g,)
+            costs (m) that exclude this distance.
+        """
+        joints, names = scenario.joints, self._context.object_names
+        (number,) = (number for number, name in names.items() if name == scenario.object_name)
+        grasps = load_validated_grasps(self._context, number)
+        if grasps is None:
+            return np.zeros((0, 7)), np.zeros(0)
+        world, hand = compose(scenario.object_pose, grasps[0]), self.arm.compute_hand_pose(joints)
+        grasp_costs = _PACE * grasps[1] + compute_grasp_costs(world, hand, scenario.occluder)
+        candidates = np.flatnonzero(self._are_reachable(world, joints))
+        candidates = candidates[np.argsort(grasp_costs[candidates], kind="stable")][:_N_CANDIDATES]
+        costs, best = np.full(len(world), np.inf), np.inf
+        for number in candidates:
+            # The cost of the approach is positive, so that more expensive grasps can be skipped.
+            if grasp_costs[number] < best + _MAX_EXCESS_COST:
+                costs[number] = grasp_costs[number] + self._compute_approach_cost(joints, world[number])
+                best = min(best, costs[number])
+        order = np.argsort(costs, kind="stable")[:_PLANNER_GOALS]
+        order = order[costs[order] < best + _MAX_EXCESS_COST]
+        return world[order], costs[order] - compute_grasp_distances(hand, world[order], _ROTATION_COST, PAD_DISTANCE)
+
     def _are_reachable(self, goals: Array, joints: Array) -> npt.NDArray[np.bool_]:
         """Return whether the arm reaches n goals and their standoffs from joints (7,) in similar postures, (n,)."""
         standoffs = compose(goals, np.array([0.0, 0.0, -_STANDOFF, 0.0, 0.0, 0.0, 1.0]))
-        before, standoff_found = self._arm.arm.solve(standoffs, np.tile(joints, (len(goals), 1)), 30)
-        after, goal_found = self._arm.arm.solve(goals, before, 15)
+        before, standoff_found = self.arm.solve(standoffs, np.tile(joints, (len(goals), 1)), 30)
+        after, goal_found = self.arm.solve(goals, before, 15)
         similar: npt.NDArray[np.bool_] = np.abs(after - before).max(axis=1) < _MAX_JOINT_CHANGE
         return standoff_found & goal_found & similar
 
@@ -216,35 +197,14 @@ class GraspExpert:
         for remaining in range(_MAX_DECISIONS, 0, -1):
             if self._compute_miss(path[-1], goal) < _TOLERANCE:
                 break
-            hand = self._arm.arm.compute_hand_pose(path[-1])
-            path.append(self._arm.compute_next_joints(path[-1], self.compute_step(hand, goal, remaining)))
+            hand = self.arm.compute_hand_pose(path[-1])
+            path.append(self.compute_next_joints(path[-1], self.compute_step(hand, goal, remaining)))
         return path
 
     def _compute_miss(self, joints: Array, goal: Array) -> float:
         """Return the distance (m), with the weighted rotation, of the hand link from a goal (7,) at arm joints (7,)."""
-        hand = self._arm.arm.compute_hand_pose(joints)
+        hand = self.arm.compute_hand_pose(joints)
         return float(compute_grasp_distances(goal, hand[None], _ROTATION_WEIGHT, PAD_DISTANCE)[0])
-
-
-def load_costed_grasps(context: PolicyContext, object_name: str) -> tuple[Array, Array]:
-    """Return the validated grasps of an object class, with their copies rotated by half a turn, and their costs.
-
-    Args:
-        context: Known grasps of the objects, and the robot with which they are validated.
-        object_name: Class name of the object.
-
-    Returns:
-        (n, 7) poses (quaternion xyzw) of the hand link in the object's frame, and (n,) costs (m), higher the less
-        likely a grasp holds the object; n may be 0.
-
-    Raises:
-        SimulationError: The object's model cannot be loaded.
-    """
-    surface = ReactiveConfig(n_surface_spheres=150, surface_radius=0.004, n_surface_points=2000)
-    found = load_graspable_object(context, object_name, surface)
-    costs = _PACE * compute_hold_costs(found.grasps, found.pad_margins, surface.selection)
-    poses = found.grasps.poses
-    return np.concatenate([poses, compose(poses, np.array(HALF_TURN))]), np.tile(costs, 2)
 
 
 def compute_grasp_costs(world: Array, hand: Array, occluder: Array) -> Array:

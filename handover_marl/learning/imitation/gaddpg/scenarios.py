@@ -5,6 +5,7 @@ random offsets. The arm is at its start pose or observes the object from a rando
 sphere in place of a person's hand occludes some objects partly; grasps keep clear of the sphere.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,7 @@ from handover_marl.datasets import Dataset
 from handover_marl.geometry.poses import inverse_transform_points
 from handover_marl.geometry.rotations import quaternions_from_euler
 from handover_marl.planning.arm_control import ArmInWorld
+from handover_marl.simulation.camera.optics import WRIST_CAMERA
 
 Array = npt.NDArray[np.float64]
 
@@ -45,14 +47,12 @@ class ImitationScenario:
     """Initial state of an imitation rollout: object, arm and occluding sphere.
 
     Attributes:
-        number: Number of the scenario, which seeds its random numbers.
         object_name: YCB class name of the object.
         dof: (6,) float32 position xyz (m) and intrinsic XYZ Euler angles (rad) of the object in the world.
         joints: (7,) positions of the arm joints (rad).
         occluder: (4,) center in the world and radius of the occluding sphere (m); radius 0 for none.
     """
 
-    number: int
     object_name: str
     dof: npt.NDArray[np.float32]
     joints: Array
@@ -75,7 +75,7 @@ class ImitationScenarios:
         seed: Seed of all scenarios.
     """
 
-    def __init__(self, data: Dataset, scenes: tuple[int, ...], arm: ArmInWorld, panda: PandaConfig, seed: int) -> None:
+    def __init__(self, data: Dataset, scenes: Sequence[int], arm: ArmInWorld, panda: PandaConfig, seed: int) -> None:
         self._data, self._scenes, self._arm, self._seed = data, scenes, arm, seed
         self._start = np.array(panda.start_joints[:ARM_DOF])
         self._base = np.array(panda.base_position)
@@ -90,7 +90,7 @@ class ImitationScenarios:
         # Off center, so that a part of the object stays visible.
         direction = rng.standard_normal(3)
         center = dof[:3] + direction / np.linalg.norm(direction) * rng.uniform(0.5, 1.5) * radius
-        return ImitationScenario(number, scene.info.target_name, dof, joints, np.array([*center, radius]))
+        return ImitationScenario(scene.info.target_name, dof, joints, np.array([*center, radius]))
 
     def _sample_object_pose(self, path: npt.NDArray[np.float32], rng: np.random.Generator) -> npt.NDArray[np.float32]:
         kind = rng.random()
@@ -142,17 +142,15 @@ class ImitationScenarios:
         return np.concatenate([position, rotation.as_quat()])
 
 
-def find_occluded_points(
-    points: npt.NDArray[np.float32], hand: Array, camera: Array, occluder: Array
-) -> npt.NDArray[np.bool_]:
-    """Return a mask (n,) of the points of a cloud that are inside a sphere or hidden behind it.
+def find_occluded_points(points: npt.NDArray[np.float32], hand: Array, occluder: Array) -> npt.NDArray[np.bool_]:
+    """Return a mask (n,) of the points of a cloud that are inside a sphere or hidden behind it from the wrist camera.
 
     Args:
         points: (n, 3) points in the hand link's frame (m).
         hand: (7,) world pose of the hand link, quaternion xyzw.
-        camera: (3,) position of the camera in the hand link's frame (m).
         occluder: (4,) center in the world and radius of the sphere (m); radius 0 occludes nothing.
     """
+    camera = np.array(WRIST_CAMERA.position)
     center = inverse_transform_points(hand, occluder[None, :3])[0] - camera
     rays = points - camera
     lengths = np.maximum((rays**2).sum(axis=1), 1e-12)
