@@ -12,7 +12,7 @@ compared with partners that they never met by
 """
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from pair import FEATURES, SCHEMES, PairArgs, write_pair
 from train_receiver_ppo import train
@@ -39,8 +39,8 @@ class Args(PairArgs):
 
 def main(args: Args) -> None:
     args = args.resolve_setup()
-    encoding = {"features": FEATURES, "action_scheme": SCHEMES}
-    models = train(args, AGENTS, args.workers, sees_both=args.critic == "both", processes=1, **encoding)
+    options: dict[str, Any] = {"features": FEATURES, "action_scheme": SCHEMES, "processes": 1}
+    models = train(args, AGENTS, args.workers, sees_both=args.critic == "both", **options)
     networks = {agent: dense_network_from_layers(model.actor, "tanh") for agent, model in models.items()}
     write_pair(networks, args, "train_both_ppo")
 

@@ -40,7 +40,6 @@ class Args(ImitationArgs):
     Attributes:
         setups: Official setups; the network is trained on scenes that are in the training splits of
             all these setups, so that no test scene is used.
-        val_setup: Setup whose validation split selects the network.
         scenarios: Number of scenarios for which the expert plans.
         rounds: Number of rounds in which the network acts (DAgger), evenly spread over the training.
         episodes: Number of rollouts of each scenario in the first round; one in later rounds.
@@ -53,7 +52,6 @@ class Args(ImitationArgs):
 
     out: str = "runs/gaddpg"
     setups: tuple[str, ...] = ("s0", "s1", "s2", "s3")
-    val_setup: str = "s0"
     scenarios: int = 2000
     rounds: int = 4
     episodes: int = 2
@@ -74,12 +72,12 @@ class Args(ImitationArgs):
 
 def main(args: Args) -> Path:
     """Train in all rounds; return the weight file of the network with the highest success on the validation split."""
-    data = args.open_dataset(PANDA_CAMERA)
-    scenes = list_shared_scenes(data, args.setups)
+    args = args.resolve_setup()
+    scenes = list_shared_scenes(args.open_dataset(PANDA_CAMERA), args.setups)
     torch.manual_seed(args.seed)
     network = GaddpgNetwork(args.spare_steps, args.max_steps)
     learner = GaddpgLearner(network, args.updates, args.torch_device)
-    run = ImitationRun(args, "gaddpg", args.val_setup, PANDA_CAMERA, learner)
+    run = ImitationRun(args, "gaddpg", PANDA_CAMERA, learner)
 
     def make_generator() -> DataGenerator:
         return DataGenerator(args.open_dataset(PANDA_CAMERA), scenes, args.seed)

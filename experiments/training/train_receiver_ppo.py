@@ -30,7 +30,7 @@ from handover_marl.geometry.arrays import make_tensor_factory
 from handover_marl.learning.adapters.modules import dense_network_from_layers
 from handover_marl.learning.policy_files import check_policy_path, read_policy, write_policy
 from handover_marl.learning.policy_spec import DenseNetwork, PolicySpec
-from handover_marl.learning.training.run_folder import describe_origin, make_mlp, print_validation, spawn_seeds
+from handover_marl.learning.training.run_folder import describe_origin, make_mlp, spawn_seeds, validate
 from handover_marl.learning.training.scene_arguments import RlArgs, run_script
 from handover_marl.simulation.engines import CPU, THREADS, WARP, BatchBackend, check_backend
 
@@ -358,8 +358,9 @@ def main(args: Args) -> Path:
         network = replace(network, normalization=initial.normalization)
     write_policy(args.out, spec, network)
     print(args.out)
-    label = f"{args.setup} val with the giver {args.giver}"
-    print_validation(args, args.val_scenes, args.val_physics, args.giver, f"learned:{args.out}", label)
+    if args.val_scenes:
+        label = f"{args.setup} val with the giver {args.giver}"
+        validate(args, args.val_scenes, args.giver, f"learned:{args.out}", label, physics=args.val_physics)
     return args.out
 
 

@@ -35,7 +35,6 @@ class Args(ImitationArgs):
     """Arguments of the training of the grasp network of `vision`.
 
     Attributes:
-        setup: Official setup, s0 to s3, or a setup of other data; default: the first of the dataset.
         robot: Robot model: panda or panda_camera.
         views: Number of rendered camera views per scene.
         stride: Use every n-th scene of the training split.
@@ -45,7 +44,6 @@ class Args(ImitationArgs):
     """
 
     out: str = "runs/vision"
-    setup: str | None = None
     robot: str = "panda_camera"
     views: int = 80
     stride: int = 1
@@ -68,16 +66,15 @@ def load_views(args: Args, run: ImitationRun, dataset: str, scenes: Sequence[int
 
 def main(args: Args) -> Path:
     """Train; return the path of the weights of the best network."""
-    data = args.open_dataset(args.robot)
-    setup = data.resolve_setup(args.setup)
-    scenes = data.list_scenes(setup, "train")[:: args.stride]
+    args = args.resolve_setup()
+    scenes = args.open_dataset(args.robot).list_scenes(args.setup, "train")[:: args.stride]
     training = {args.dataset: select_training_scenes(scenes)}
     for name in args.extra_datasets:
         extra = open_dataset(name, robot=args.robot)
         training[name] = extra.list_scenes(extra.resolve_setup(None), "train")[:: args.stride]
     torch.manual_seed(args.seed)
     learner = GraspLearner(GraspNetwork(), args.updates, args.torch_device)
-    run = ImitationRun(args, "vision", setup, args.robot, learner, ("updates",))
+    run = ImitationRun(args, "vision", args.robot, learner, ("updates",))
     others = load_views(args, run, args.dataset, select_held_out_scenes(scenes))
     held_out = GraspViews._make(part[:: -(-len(part) // N_HELD_OUT)] for part in others)
 

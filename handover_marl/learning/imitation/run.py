@@ -2,7 +2,7 @@
 
 import shutil
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +11,7 @@ import torch
 from rich.progress import track
 from torch.utils.tensorboard import SummaryWriter
 
-from handover_marl.datasets.splits import select_scenes_evenly
 from handover_marl.errors import OptionError
-from handover_marl.evaluation.benchmark import evaluate_pair
-from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig
 from handover_marl.learning.imitation.learner import Batches, ImitationLearner
 from handover_marl.learning.imitation.samples import Samples, join_samples
 from handover_marl.learning.networks.weights import write_network_weights
@@ -23,10 +20,10 @@ from handover_marl.learning.training.run_folder import (
     describe_origin,
     open_run_folder,
     read_checkpoint,
-    summarize_evaluation,
+    validate,
     write_checkpoint,
 )
-from handover_marl.learning.training.scene_arguments import DatasetArgs
+from handover_marl.learning.training.scene_arguments import SetupArgs
 
 _LATEST = "latest.npz"
 # Updates between two records of losses, and between two evaluations on held-out samples with a checkpoint.
@@ -34,7 +31,7 @@ LOSS_INTERVAL, METRICS_INTERVAL = 50, 500
 
 
 @dataclass(frozen=True)
-class ImitationArgs(DatasetArgs):
+class ImitationArgs(SetupArgs):
     """Arguments of the trainings of receivers' networks by imitation.
 
     Attributes:
@@ -75,9 +72,8 @@ class ImitationRun:
     """Training run of a receiver's network by imitation, with evaluations that select the best network.
 
     Args:
-        args: Arguments of the training.
+        args: Arguments of the training, with a setup, whose validation split selects the network.
         receiver: Name of the receiver; its script is `train_RECEIVER.py`, and the best network `RECEIVER.npz`.
-        setup: Setup whose validation split selects the network.
         robot: Robot model of evaluations: panda or panda_camera.
         learner: Trainer of the network.
         free: Names of arguments that may change when a run is resumed.
@@ -94,7 +90,6 @@ class ImitationRun:
         self,
         args: ImitationArgs,
         receiver: str,
-        setup: str | None,
         robot: str,
         learner: ImitationLearner[Any, Any],
         free: Sequence[str] = (),
@@ -102,13 +97,8 @@ class ImitationRun:
         data = args.open_dataset(robot)
         free = ("workers", "threads", "device", *free)
         self.folder = open_run_folder(Path(args.out), args, args.resume, data.name, free)
-        self._args, self._receiver, self._learner, self._best = args, receiver, learner, -1.0
+        self._args, self._receiver, self._robot, self._learner, self._best = args, receiver, robot, learner, -1.0
         self._card = {"made by": describe_origin(f"train_{receiver}", args), "dataset": data.name}
-        scenes = select_scenes_evenly(data.list_scenes(setup, "val"), args.val_scenes)
-        self._config = EvaluationConfig(
-            setup, "val", scenes, args.dataset, args.data_dir, "fast", robot=robot, receiver=receiver
-        )
-        self._execution = ExecutionConfig(args.workers, progress=False)
         if args.resume and (self.folder / CHECKPOINT).exists():
 
             def restore_all(state: dict[str, Any]) -> None:
@@ -181,11 +171,12 @@ class ImitationRun:
         steps = self._learner.done
         write_network_weights(self.latest, self._learner.averaged, {**self._card, "steps": steps})
         successes = []
+        args = self._args
         for chosen in options:
             receiver = (self._receiver, {"weights": str(self.latest), **chosen})
-            report = evaluate_pair(replace(self._config, receiver=receiver), execution=self._execution)
             label = "".join(f", {name} {value}" for name, value in chosen.items())
-            print(summarize_evaluation(report, f"{steps} gradient updates{label}"), flush=True)
+            where: dict[str, Any] = {"physics": "fast", "robot": self._robot, "workers": args.workers}
+            report = validate(args, args.val_scenes, "replay", receiver, f"{steps} gradient updates{label}", **where)
             for name, rate in report.rates.items():
                 self.writer.add_scalar(f"evaluation/{name}{label}", rate.mean, steps)
             successes.append(report.success_rate)

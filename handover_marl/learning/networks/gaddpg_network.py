@@ -135,12 +135,11 @@ class GaddpgNetwork(SavedNetwork):
         with single_threaded_inference():
             output = self(torch.from_numpy(points[None].astype(np.float32)), torch.tensor([float(remaining)]))
         if self.spare_steps is None:
-            action: npt.NDArray[np.float32] = output.action[0].numpy()
-            return action
+            return np.asarray(output.action[0].numpy())
         goal = output.goal.numpy().astype(np.float64)
         pose = np.concatenate([goal[:, 4:], normalize_quaternions(goal[:, [1, 2, 3, 0]])], axis=1)
         steps = compute_approach_steps(IDENTITY[None], pose, np.array([float(remaining)]), self.spare_steps)
-        return steps[0].astype(np.float32)
+        return np.asarray(steps[0], dtype=np.float32)
 
     def get_settings(self) -> dict[str, Any]:
         """Return the constructor's arguments in JSON types, with the keys of the shipped file."""

@@ -82,7 +82,9 @@ def test_runs_are_not_resumed_on_another_dataset(
 ) -> None:
     """A run with the dataset "auto" is not resumed if an environment variable now selects another dataset."""
     train = script("train_sb3", monkeypatch)
-    args = train.Args(setup="s0", out=str(tmp_path / "run"), resume=True)
+    args = train.Args(
+        setup="s0", features="close", actions="grasp_servo", partner="replay", out=str(tmp_path / "run"), resume=True
+    )
     open_run_folder(tmp_path / "run", args, False, "synthetic")
     monkeypatch.setenv(DATA_DIR_VARIABLE, str(fake_data))
     with pytest.raises(ResultsError, match=r"other arguments \(dataset\)"):

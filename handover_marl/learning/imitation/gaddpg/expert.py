@@ -160,8 +160,8 @@ class GraspExpert:
             costs (m) that exclude this distance.
         """
         joints, names = scenario.joints, self._context.object_names
-        (number,) = (number for number, name in names.items() if name == scenario.object_name)
-        grasps = load_validated_grasps(self._context, number)
+        (object_class,) = (number for number, name in names.items() if name == scenario.object_name)
+        grasps = load_validated_grasps(self._context, object_class)
         if grasps is None:
             return np.zeros((0, 7)), np.zeros(0)
         world, hand = compose(scenario.object_pose, grasps[0]), self.arm.compute_hand_pose(joints)
