@@ -14,8 +14,6 @@ from torch import Tensor, nn
 #: Squared distance from the origin (m^2) up to which the kernels treat a point as padding: it is
 #: never sampled except as the first point.
 PADDING_SQUARED_NORM = 1e-3
-# Largest number of points of a group in a training; the second set abstraction has no more points.
-_MAX_TRAINED_NEIGHBORS = 32
 
 
 def sample_farthest_points(points: Tensor, count: int) -> Tensor:
@@ -127,7 +125,7 @@ class SetAbstraction(nn.Module):
             centers = columns.transpose(1, 2)
             count = self.grouping.neighbors
             # Repeated points do not change the maximum of a group, but take time in a training.
-            count = min(count, _MAX_TRAINED_NEIGHBORS) if self.training else count
+            count = min(count, positions.shape[1]) if self.training else count
             near = query_ball(positions, centers, self.grouping.radius, count)
             relative = gather_columns(xyz, near) - columns[..., None]
             groups = torch.cat([relative, gather_columns(features, near)], dim=1)
