@@ -22,8 +22,9 @@ from handover_marl.datasets.dataset import SceneAssets
 from handover_marl.errors import OptionError
 from handover_marl.geometry.panda import OPEN
 from handover_marl.geometry.poses import compose, invert_pose
-from handover_marl.learning.imitation.gaddpg.expert import ExpertPlan, GraspExpert
-from handover_marl.learning.imitation.gaddpg.scenarios import (
+from handover_marl.learning.imitation.gaddpg.expert import (
+    ExpertPlan,
+    GraspExpert,
     ImitationScenario,
     ImitationScenarios,
     find_occluded_points,

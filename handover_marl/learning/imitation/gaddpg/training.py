@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from handover_marl.geometry.poses import IDENTITY, compose, inverse_transform_points, invert_pose, transform_points
 from handover_marl.learning.imitation.gaddpg.data_generation import ImitationStates
 from handover_marl.learning.imitation.gaddpg.expert import EXPERT_SPARE_STEPS
-from handover_marl.learning.imitation.learner import ImitationLearner
+from handover_marl.learning.imitation.run import ImitationLearner
 from handover_marl.learning.networks.approach_field import compute_approach_steps
 from handover_marl.learning.networks.gaddpg_network import GaddpgNetwork
 from handover_marl.receivers.gaddpg import GRIPPER_POINTS

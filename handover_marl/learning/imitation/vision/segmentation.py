@@ -15,7 +15,7 @@ from torch import Tensor
 
 from handover_marl.datasets.dataset import Scene
 from handover_marl.geometry.panda import OPEN
-from handover_marl.learning.imitation.learner import ImitationLearner
+from handover_marl.learning.imitation.run import ImitationLearner
 from handover_marl.learning.imitation.samples import stack_samples
 from handover_marl.learning.imitation.vision.views import RecordedViewRenderer, read_object_pose
 from handover_marl.learning.networks.segmentation_network import N_CLASSES, SegmentationNetwork

@@ -14,7 +14,7 @@ pytest.importorskip("embreex", reason="needs the extra `vision`")
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import OptionError
 from handover_marl.learning.imitation.gaddpg.data_generation import DataGenerator, list_shared_scenes
-from handover_marl.learning.imitation.learner import ImitationLearner
+from handover_marl.learning.imitation.run import ImitationLearner
 from handover_marl.receivers import make
 from tests.helpers.short_episodes import shorten_episodes
 from tests.learning.training.scripts import evaluate_hold, script
