@@ -61,14 +61,6 @@ class Args(ImitationArgs):
     spare_steps: int = 5
     max_steps: int = 30
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for name in ("scenarios", "episodes", "max_steps"):
-            if getattr(self, name) < 1:
-                raise OptionError(f"{name} must be at least 1, got {getattr(self, name)}")
-        if not self.waits:
-            raise OptionError("waits must contain at least one waiting time, got none")
-
 
 def main(args: Args) -> Path:
     """Train in all rounds; return the weight file of the network with the highest success on the validation split."""

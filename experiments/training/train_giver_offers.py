@@ -24,7 +24,7 @@ import handover_marl
 from handover_marl.config import ProtocolConfig
 from handover_marl.episode.observations import add_episode_axis, giver_observation_space
 from handover_marl.execution.files import write_arrays
-from handover_marl.execution.reading import read_arrays
+from handover_marl.learning.imitation.samples import join_samples, read_samples
 from handover_marl.learning.offers import (
     N_OFFER_FEATURES,
     OFFER_FEATURES,
@@ -197,7 +197,7 @@ def train(args: Args, folder: Path) -> Offers:
     torch.set_num_threads(1)
     path, offers = folder / OFFERS, None
     if path.exists():
-        offers = Offers(**read_arrays(path, Offers._fields))
+        offers = read_samples(Offers, path)
     first = known = 0 if offers is None else len(offers.status)
     with ThreadPoolExecutor(args.workers) as pool:
         collectors = list(pool.map(lambda number: Collector(number, args, first), range(args.workers)))
@@ -205,8 +205,8 @@ def train(args: Args, folder: Path) -> Offers:
         while offers is None or known < args.episodes:
             network = None if offers is None else fit(offers, args, args.seed + known)
             parts = pool.map(Collector.collect, collectors, [network] * args.workers)
-            found = join([part for each in parts for part in each])
-            offers = found if offers is None else join([offers, found])
+            found = join_samples([part for each in parts for part in each])
+            offers = found if offers is None else join_samples([offers, found])
             known = len(offers.status)
             write_arrays(path, offers._asdict())
             print(
@@ -217,11 +217,6 @@ def train(args: Args, folder: Path) -> Offers:
     for collector in collectors:
         collector.envs.close()
     return offers
-
-
-def join(parts: list[Offers]) -> Offers:
-    """Concatenate the offers of several parts."""
-    return Offers(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
 
 def main(args: Args) -> Path:

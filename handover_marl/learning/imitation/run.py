@@ -15,7 +15,6 @@ from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel
 from torch.utils.tensorboard import SummaryWriter
 
-from handover_marl.errors import OptionError
 from handover_marl.learning.imitation.samples import Samples, join_samples
 from handover_marl.learning.networks.weights import SavedNetwork, write_network_weights
 from handover_marl.learning.training.run_folder import (
@@ -157,11 +156,6 @@ class ImitationArgs(SetupArgs):
     threads: int = 2
     device: str = "auto"
     resume: bool = False
-
-    def __post_init__(self) -> None:
-        for name in ("updates", "batch_size", "threads"):
-            if getattr(self, name) < 1:
-                raise OptionError(f"{name} must be at least 1, got {getattr(self, name)}")
 
     @property
     def torch_device(self) -> torch.device:
