@@ -47,7 +47,6 @@ class Args(RlArgs):
         rewards: Rewards: sparse, shaped, or module:name of own ones, see docs/reference/rewards.md.
         initial: Policy file whose network is trained further, with its features, actions and control period; None
             trains a new network.
-        critic_decisions: Number of decisions at the start from which only the value function is learned.
         minutes: Largest wall-clock time of the training (min), without the evaluation.
         workers: Number of processes that simulate the environments; not used with the backend "warp".
         backend: Backend of the environments: "threads" for MuJoCo on the processor, or "warp" for MuJoCo Warp.
@@ -63,7 +62,6 @@ class Args(RlArgs):
     actions: str = "grasp_servo"
     rewards: str = "sparse"
     initial: Path | None = None
-    critic_decisions: int = 0
     decisions: int = 12_288
     minutes: float = 30.0
     num_envs: int = 128
@@ -239,13 +237,8 @@ def compute_advantages(
     return advantages
 
 
-def update(
-    model: ActorCritic, optimizer: torch.optim.Optimizer, batch: Batch, args: RlArgs, policy_weight: float = 1.0
-) -> None:
-    """Update both networks by PPO (Schulman et al., 2017) on a batch of decisions, in `args.epochs` passes.
-
-    With the weight 0 of the policy's loss, only the value function is updated.
-    """
+def update(model: ActorCritic, optimizer: torch.optim.Optimizer, batch: Batch, args: RlArgs) -> None:
+    """Update both networks by PPO (Schulman et al., 2017) on a batch of decisions, in `args.epochs` passes."""
     count = batch.advantages.numel()
     rows = Batch(*(part.reshape(count, *part.shape[2:]) for part in batch))
     for _ in range(args.epochs):
@@ -257,7 +250,7 @@ def update(
             gain = (part.advantages - part.advantages.mean()) / (part.advantages.std() + 1e-8)
             value_loss = (model.compute_value(part.features) - part.targets).square().mean()
             optimizer.zero_grad()
-            (0.5 * value_loss - policy_weight * torch.min(ratio * gain, clipped * gain).mean()).backward()
+            (0.5 * value_loss - torch.min(ratio * gain, clipped * gain).mean()).backward()
             nn.utils.clip_grad_norm_(model.parameters(), 0.5)
             optimizer.step()
 
@@ -271,7 +264,6 @@ def train(
     initial: DenseNetwork | None = None,
     device: str = CPU,
     minutes: float = math.inf,
-    critic_decisions: int = 0,
     **options: Any,
 ) -> dict[str, ActorCritic]:
     """Train agents until the limit of decisions or of time is reached, and return the networks of each agent.
@@ -285,7 +277,6 @@ def train(
         initial: Network with which the policy starts; None: a new one.
         device: Device of environments and networks.
         minutes: Largest wall-clock time (min).
-        critic_decisions: Number of decisions at the start from which only the value function is learned.
         options: Arguments of `handover_marl.vector_env`.
     """
     started, decisions = time.monotonic(), 0
@@ -309,7 +300,7 @@ def train(
             for agent, model in models.items():
                 parts = zip(*(batches[agent] for batches in found), strict=True)
                 batch = Batch(*(torch.cat(part, dim=1) for part in parts))
-                update(model, optimizers[agent], batch, args, float(decisions > critic_decisions))
+                update(model, optimizers[agent], batch, args)
             outcomes = [outcome for collector in collectors for outcome in collector.outcomes]
             now = time.monotonic()
             print(
@@ -343,7 +334,6 @@ def main(args: Args) -> Path:
         initial=initial and initial.copy_to(make_tensor_factory(args.device)),
         device=args.device,
         minutes=args.minutes,
-        critic_decisions=args.critic_decisions,
         partner=args.giver,
         features=args.features,
         action_scheme=args.actions,

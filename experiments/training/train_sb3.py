@@ -30,7 +30,6 @@ from stable_baselines3.common.vec_env import VecMonitor
 from handover_marl.envs.custom_rewards import set_discount
 from handover_marl.envs.vector.vector_env import vector_env
 from handover_marl.envs.wrappers.wrapper import RETURN_PREFIX, EpisodeReturns
-from handover_marl.errors import OptionError
 from handover_marl.execution.options import count_available_cores
 from handover_marl.learning.adapters.sb3_models import dense_network_from_sb3
 from handover_marl.learning.custom_encodings import is_reference
@@ -46,11 +45,8 @@ from handover_marl.learning.training.run_folder import (
 )
 from handover_marl.learning.training.scene_arguments import RlArgs, run_script
 from handover_marl.policies.reference import parse_policy
-from handover_marl.simulation.engines import MUJOCO
 
 _CHECKPOINT = "checkpoint.zip"
-
-
 # Features, action scheme and partner by default.
 _DEFAULTS = {"receiver": ("close", "grasp_servo", "cooperative"), "giver": ("giver", "offer", "yang2021")}
 
@@ -70,10 +66,10 @@ class Args(RlArgs):
         rewards: Reward: sparse, shaped, or module:name of a user-defined reward.
         gripper_initial_std: Initial standard deviation of a receiver's output that closes the gripper: random closing
             succeeds now and then, so it is explored more than the motion.
-        num_envs: Number of environments simulated in parallel; 0 means 64 with mujoco, else 8.
+        num_envs: Number of environments simulated in parallel; fewer, such as 8, are better with physics other than
+            mujoco.
         minutes: Largest wall-clock time (min).
         eval_interval: Number of decisions between evaluations.
-        eval_start: Whether to evaluate before the training, too.
         resume: Whether to continue the run in the folder `out`.
     """
 
@@ -84,20 +80,14 @@ class Args(RlArgs):
     actions: str = ""
     rewards: str = "sparse"
     gripper_initial_std: float = 0.45
-    num_envs: int = 0
+    num_envs: int = 64
     decisions: int = 500_000
     minutes: float = 24.0
     learning_rate: float = 7e-4
     discount: float = 0.97
     initial_std: float = 0.15
     eval_interval: int = 24_576
-    eval_start: bool = True
     resume: bool = False
-
-    @property
-    def resolved_num_envs(self) -> int:
-        """Number of environments simulated in parallel, where `num_envs` may be 0."""
-        return self.num_envs or (64 if self.physics == MUJOCO else 8)
 
 
 def main(args: Args) -> Path:
@@ -110,11 +100,6 @@ def main(args: Args) -> Path:
         actions=args.actions or actions,
         partner=args.partner or partner,
     )
-    if args.batch_size < args.resolved_num_envs:
-        raise OptionError(
-            f"batch_size must be at least the number of environments, {args.resolved_num_envs}, got "
-            f"{args.batch_size}; choose fewer with num_envs"
-        )
     # `module:name` may be in the working folder, which Python does not search when it runs a script.
     sys.path.append(str(Path.cwd()))
     parse_policy("giver" if args.agent == "receiver" else "receiver", args.partner)
@@ -146,14 +131,14 @@ def main(args: Args) -> Path:
 def _make_ppo(args: Args) -> tuple[PPO, VecMonitor]:
     """Make an untrained model and its environments, which are seeded and run in one process per core."""
     envs = vector_env(
-        args.resolved_num_envs,
+        args.num_envs,
         args.agent,
         args.partner,
         features=args.features,
         action_scheme=args.actions,
         wrappers=[EpisodeReturns],
         autoreset="same_step",
-        processes=min(args.resolved_num_envs, count_available_cores()),
+        processes=min(args.num_envs, count_available_cores()),
         rewards=set_discount(args.rewards, args.discount),
         **args.env_options,
     )
@@ -163,7 +148,7 @@ def _make_ppo(args: Args) -> tuple[PPO, VecMonitor]:
         "MlpPolicy",
         monitored,
         learning_rate=args.learning_rate,
-        n_steps=args.batch_size // args.resolved_num_envs,
+        n_steps=args.batch_size // args.num_envs,
         batch_size=args.minibatch_size,
         n_epochs=args.epochs,
         gamma=args.discount,
@@ -194,8 +179,6 @@ class EvaluationCallback(BaseCallback):
 
     def _on_training_start(self) -> None:
         self._next = self.num_timesteps + self._args.eval_interval
-        if self._args.eval_start and not self.num_timesteps:
-            self.evaluate()
 
     def _on_step(self) -> bool:
         for info, is_last in zip(self.locals["infos"], self.locals["dones"], strict=True):
@@ -215,10 +198,9 @@ class EvaluationCallback(BaseCallback):
         write_policy(policy, self._spec, dense_network_from_sb3(self.model))
         # User-defined features and schemes were named by the caller, so they may be imported.
         trust = is_reference(args.features) or is_reference(args.actions)
-        pair: tuple[str, str] = (args.partner, f"learned:{policy}")
-        label = f"{self.num_timesteps} decisions"
-        pair = pair if args.agent == "receiver" else pair[::-1]
-        report = validate(args, args.val_scenes, *pair, label, physics=args.physics, trust=trust)
+        learned, label = f"learned:{policy}", f"{self.num_timesteps} decisions"
+        giver, receiver = (args.partner, learned) if args.agent == "receiver" else (learned, args.partner)
+        report = validate(args, args.val_scenes, giver, receiver, label, physics=args.physics, trust=trust)
         for name, rate in report.rates.items():
             self.logger.record(f"evaluation/{name}", rate.mean)
         self.logger.dump(self.num_timesteps)

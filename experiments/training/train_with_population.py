@@ -66,7 +66,6 @@ class Args(SetupArgs):
             batch_size=512,
             control_period=0.1,
             initial_std=0.25,
-            eval_start=False,
             minutes=_MAX_MINUTES,
         )
     )

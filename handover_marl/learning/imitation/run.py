@@ -30,7 +30,6 @@ from handover_marl.learning.training.scene_arguments import SetupArgs
 Network = TypeVar("Network", bound=SavedNetwork)
 Batch = TypeVar("Batch")
 _WEIGHT_DECAY = 1e-4
-_LATEST = "latest.npz"
 # Updates between two records of losses, and between two evaluations on held-out samples with a checkpoint.
 LOSS_INTERVAL, METRICS_INTERVAL = 50, 500
 
@@ -176,6 +175,7 @@ class ImitationRun:
 
     Attributes:
         folder: Folder of the run.
+        latest: Path of the weights of the last evaluation, with which the network acts in the next round.
         writer: Writer of the TensorBoard logs.
 
     Raises:
@@ -202,17 +202,8 @@ class ImitationRun:
                 self._best = float(state["best"])
 
             read_checkpoint(self.folder / CHECKPOINT, restore_all)
+        self.latest, self._path = self.folder / "latest.npz", self.folder / f"{receiver}.npz"
         self.writer = SummaryWriter(str(self.folder / "tensorboard"))
-
-    @property
-    def latest(self) -> Path:
-        """Path of the weights of the last evaluation, with which the network acts in the next round."""
-        return self.folder / _LATEST
-
-    @property
-    def best(self) -> Path:
-        """Path of the weights of the network with the largest mean success rate on the validation split."""
-        return self.folder / f"{self._receiver}.npz"
 
     def save(self) -> None:
         """Write a checkpoint: the state of the learner and the best success rate so far."""
@@ -242,7 +233,7 @@ class ImitationRun:
                 self._update(make_batches(join_samples(samples)), held_out, end)
                 self._evaluate(options)
         self.writer.close()
-        return self.best
+        return self._path
 
     def _update(self, batches: Batches, held_out: Any, end: int) -> None:
         """Train until the update with number `end`; log losses of the batches, and metrics on held-out samples."""
@@ -278,5 +269,5 @@ class ImitationRun:
             successes.append(report.success_rate)
         if float(np.mean(successes)) >= self._best:
             self._best = float(np.mean(successes))
-            shutil.copyfile(self.latest, self.best)
+            shutil.copyfile(self.latest, self._path)
         self.save()

@@ -23,7 +23,7 @@ sb3 = pytest.importorskip("stable_baselines3", reason="needs the extra `train`")
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning", "ignore::DeprecationWarning")
 
 
-SMALL: dict[str, Any] = {"dataset": "synthetic", "num_envs": 1, "val_scenes": 1, "eval_start": False}
+SMALL: dict[str, Any] = {"dataset": "synthetic", "num_envs": 1, "val_scenes": 1}
 GIVER = {**SMALL, "agent": "giver", "partner": "hold", "physics": "fast", "batch_size": 2, "eval_interval": 4}
 RECEIVER = {**SMALL, "batch_size": 8, "time_limit": 0.6, "eval_interval": 16, "rewards": REWARDS}
 MADE = {"arguments.json", "policy.npz", "checkpoint.zip", "progress.csv", "tensorboard"}
