@@ -83,18 +83,9 @@ class Args(SetupArgs):
 
 
 def train_policy(args: Args, agent: str, partner: str, path: Path, seed: int, share: float = 1.0) -> Path:
-    """Train a policy with a fixed partner and write its file, unless this file exists.
+    """Train the policy of an agent with a fixed partner and write its file, unless this file exists.
 
-    The training of a giver that was interrupted, or that stopped after a smaller share of its decisions, continues in
-    its folder.
-
-    Args:
-        args: Arguments of the script.
-        agent: Agent that learns.
-        partner: Policy of the other agent, with options.
-        path: Policy file.
-        seed: Seed of the training.
-        share: Share of the decisions in `args.receiver` or `args.giver` after which the training stops.
+    The training stops after a share of its decisions; that of a giver continues in its folder.
     """
     if path.exists():
         return path

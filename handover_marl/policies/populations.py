@@ -170,14 +170,11 @@ def _check_partners(path: Path, partners: Sequence[Partner]) -> None:
     if not splits <= {TRAIN, TEST}:
         raise DataFormatError(f"{path}: split must be {TRAIN} or {TEST}, got {sorted(splits)}")
     families = [family for family, _ in {(partner.family, partner.split) for partner in partners}]
-    for what, values in (
-        ("family in one split", families),
-        ("name", [partner.name for partner in partners]),
-        ("policy", [partner.policy for partner in partners]),
-    ):
-        value, count = max(Counter(values).items(), key=lambda item: item[1], default=("", 0))
-        if count > 1:
-            raise DataFormatError(f"{path}: every {what} must be unique, got {value!r} twice")
+    names, policies = ([getattr(partner, key) for partner in partners] for key in ("name", "policy"))
+    for what, values in (("family in one split", families), ("name", names), ("policy", policies)):
+        for value, count in Counter(values).items():
+            if count > 1:
+                raise DataFormatError(f"{path}: every {what} must be unique, got {value!r} twice")
 
 
 def _read_policy_files(population: Population, agent: str, partner: Partner) -> Iterator[bytes]:

@@ -177,14 +177,17 @@ def read_gaddpg_checkpoint(path: str | Path) -> tuple[GaddpgNetwork, str]:
     with untrained_networks():
         network = GaddpgNetwork()
     _load_weights(actor, network.policy, head)
-    _load_weights(features, network.features, _rename_encoder(encoder))
+    # Only the actor's encoder, with the names of `PointNetPlusPlus`.
+    renamed = {_STAGES.sub("stages.", _DENSE.sub("dense.", name)): value for name, value in encoder.items()}
+    own = {name: value for name, value in renamed.items() if name.startswith(("stages.", "dense."))}
+    _load_weights(features, network.features, own)
     return network.eval(), hashlib.sha256(head_content + encoder_content).hexdigest()[:8]
 
 
 def _find_files(path: Path) -> tuple[Path, Path]:
     """Return the files with the actor's head and with the encoders, for a checkpoint's folder or one of its files."""
     if path.is_dir():
-        actors = sorted(file for file in path.iterdir() if _ACTOR in file.name)
+        actors = sorted(path.glob(f"*{_ACTOR}*"))
         chosen = [file for file in actors if file.name.endswith("_latest")] or actors
         if len(chosen) != 1:
             found = ", ".join(file.name for file in chosen) or "none"
@@ -195,8 +198,7 @@ def _find_files(path: Path) -> tuple[Path, Path]:
     name = path.name.replace(_FEATURES, _ACTOR)
     if _ACTOR not in name:
         raise DataNotFoundError(
-            f"{path}: a checkpoint of GA-DDPG is a folder with files named like DDPG{_ACTOR}PandaYCBEnv_latest and "
-            f"DDPG{_FEATURES}PandaYCBEnv_latest, or one of these files"
+            f"{path}: a file of GA-DDPG's checkpoint must have {_ACTOR!r} or {_FEATURES!r} in its name"
         )
     return path.with_name(name), path.with_name(name.replace(_ACTOR, _FEATURES))
 
@@ -216,14 +218,6 @@ def _read_weights(file: Path) -> tuple[dict[str, Tensor], bytes]:
     if not isinstance(net, Mapping) or not all(isinstance(value, Tensor) for value in net.values()):
         raise DataFormatError(f"{file}: not a checkpoint of GA-DDPG, which has weights by name under 'net'")
     return {str(name): value for name, value in net.items()}, content
-
-
-def _rename_encoder(weights: dict[str, Tensor]) -> dict[str, Tensor]:
-    """Return those of the original weights that belong to the actor's encoder, by their names in `PointNetPlusPlus`."""
-    renamed: dict[str, Tensor] = {}
-    for pattern, part in ((_STAGES, "stages."), (_DENSE, "dense.")):
-        renamed |= {pattern.sub(part, name): value for name, value in weights.items() if pattern.match(name)}
-    return renamed
 
 
 def _load_weights(file: Path, module: nn.Module, weights: dict[str, Tensor]) -> None:

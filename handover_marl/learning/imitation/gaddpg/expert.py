@@ -190,10 +190,8 @@ class ImitationScenarios:
 def find_occluded_points(points: npt.NDArray[np.float32], hand: Array, occluder: Array) -> npt.NDArray[np.bool_]:
     """Return a mask (n,) of the points of a cloud that are inside a sphere or hidden behind it from the wrist camera.
 
-    Args:
-        points: (n, 3) points in the hand link's frame (m).
-        hand: (7,) world pose of the hand link, quaternion xyzw.
-        occluder: (4,) center in the world and radius of the sphere (m); radius 0 occludes nothing.
+    Points (n, 3) are in the hand link's frame (m), whose world pose (7,) is `hand`; `occluder` (4,) has the center in
+    the world and the radius of the sphere (m); radius 0 occludes nothing.
     """
     camera = np.array(WRIST_CAMERA.position)
     center = inverse_transform_points(hand, occluder[None, :3])[0] - camera
@@ -304,7 +302,7 @@ class GraspExpert:
         if grasps is None:
             return np.zeros((0, 7)), np.zeros(0)
         world, hand = compose(scenario.object_pose, grasps[0]), self.arm.compute_hand_pose(joints)
-        grasp_costs = _PACE * grasps[1] + compute_grasp_costs(world, hand, scenario.occluder)
+        grasp_costs = _PACE * grasps[1] + _compute_grasp_costs(world, hand, scenario.occluder)
         candidates = np.flatnonzero(self._are_reachable(world, joints))
         candidates = candidates[np.argsort(grasp_costs[candidates], kind="stable")][:_N_CANDIDATES]
         costs, best = np.full(len(world), np.inf), np.inf
@@ -343,13 +341,10 @@ class GraspExpert:
         return float(compute_grasp_distances(goal, hand[None], _ROTATION_WEIGHT, PAD_DISTANCE)[0])
 
 
-def compute_grasp_costs(world: Array, hand: Array, occluder: Array) -> Array:
-    """Return the costs (n,) in m of moving the hand link to n grasps, higher near the occluder or the table.
+def _compute_grasp_costs(world: Array, hand: Array, occluder: Array) -> Array:
+    """Return the costs (n,) in m of moving the hand link from a pose (7,) to n world poses (n, 7), quaternions xyzw.
 
-    Args:
-        world: (n, 7) world poses of the hand link at the grasps, quaternions xyzw.
-        hand: (7,) present world pose of the hand link, quaternion xyzw.
-        occluder: (4,) world center and radius of the occluding sphere (m); radius 0 for none.
+    They are higher near the table, and near the occluding sphere: `occluder` (4,) has its world center and radius (m).
     """
     behind = compose(world, np.array([0.0, 0.0, -_SWEEP, 0.0, 0.0, 0.0, 1.0]))
     heights = np.minimum(*(compute_gripper_corners(poses)[..., 2].min(axis=1) for poses in (world, behind)))
