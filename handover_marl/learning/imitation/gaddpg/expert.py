@@ -164,7 +164,7 @@ class ImitationScenarios:
                 goal = self._sample_viewing_pose(position, rng)
                 solutions, converged = self._arm.solve(goal[None], self._start[None], 60)
                 if converged[0]:
-                    return np.clip(solutions[0], low, high)
+                    return np.asarray(np.clip(solutions[0], low, high))
         return np.asarray(self._start + rng.normal(0.0, _JOINT_STD, ARM_DOF) * (rng.random() < 0.5))
 
     def _sample_viewing_pose(self, target: Array, rng: np.random.Generator) -> Array:
