@@ -16,7 +16,7 @@ from torchrl.modules import NormalParamExtractor, ProbabilisticActor, TanhNormal
 from torchrl.objectives import ClipPPOLoss
 
 from handover_marl.envs.arguments import AGENTS
-from handover_marl.learning.adapters.export import dense_network_from_layers
+from handover_marl.learning.adapters.modules import dense_network_from_layers
 from handover_marl.learning.training.run_folder import make_mlp
 from handover_marl.learning.training.scene_arguments import run_script
 
