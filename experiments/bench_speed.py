@@ -27,10 +27,11 @@ from handover_marl.episode.giver_motion import NO_DEVIATION
 from handover_marl.episode.spaces import POINTCLOUD, STATE
 from handover_marl.evaluation.reports.tables import format_table
 from handover_marl.execution.options import describe_machine
-from handover_marl.geometry.arrays import AnyArray, make_tensor_factory
+from handover_marl.geometry.arrays import make_tensor_factory
 from handover_marl.learning.training.scene_arguments import SetupArgs
 from handover_marl.simulation.engines import CUDA, FAST, MUJOCO, WARP, list_available_physics
 
+SCENE = 105  # scene in s0 train that single environments simulate
 MAX_TARGET_OFFSET = 0.05  # of joint targets from the start pose (rad)
 STEPS_PER_TURN = 5  # control steps for which an environment is measured before the next one
 
@@ -40,7 +41,6 @@ class Args(SetupArgs):
     """Options of the speed measurements.
 
     Attributes:
-        scene: Scene number in s0 train that single environments simulate.
         decisions: Number of control steps of one run; episodes must last that long.
         control_period: Time for which an action is applied (s).
         repetitions: Number of runs on the processor; the table gives median ratios and their range.
@@ -49,10 +49,8 @@ class Args(SetupArgs):
         warp: Whether to measure MuJoCo Warp instead.
         sizes: Numbers of environments with MuJoCo Warp.
         device: Device of MuJoCo Warp: cuda, or cpu.
-        obs_mode: Observation mode of the receiver with MuJoCo Warp: "state", or one with point clouds or images.
     """
 
-    scene: int = 105
     decisions: int = 60
     control_period: float = 0.1
     repetitions: int = 5
@@ -61,7 +59,6 @@ class Args(SetupArgs):
     warp: bool = False
     sizes: tuple[int, ...] = (64, 256, 1024, 4096)
     device: str = CUDA
-    obs_mode: str = STATE
 
 
 def measure_processor(args: Args) -> str:
@@ -84,7 +81,7 @@ def measure_processor(args: Args) -> str:
     for run in track(range(args.repetitions), "runs"):
         generators = [np.random.default_rng(run) for _ in envs]
         for env in envs.values():
-            env.reset(seed=0, options=None if isinstance(env, ParallelVectorEnv) else {"scene_id": args.scene})
+            env.reset(seed=0, options=None if isinstance(env, ParallelVectorEnv) else {"scene_id": SCENE})
         for first in range(0, args.decisions, STEPS_PER_TURN):
             for number, env in enumerate(envs.values()):
                 started = time.perf_counter()
@@ -146,15 +143,12 @@ def measure_cameras(args: Args) -> str:
 
 def measure_warp(args: Args, count: int) -> tuple[float, float]:
     """Return the physics steps and the decisions per second of `count` environments with MuJoCo Warp."""
-    # Images are rendered only for observations that are returned.
-    is_encoded = args.obs_mode == STATE
     envs = handover_marl.vector_env(
         count,
         "receiver",
         "cooperative",
-        features="close" if is_encoded else None,
-        action_scheme="grasp_servo" if is_encoded else None,
-        obs_mode=args.obs_mode,
+        features="close",
+        action_scheme="grasp_servo",
         autoreset="same_step",
         backend=WARP,
         device=args.device,
@@ -163,24 +157,17 @@ def measure_warp(args: Args, count: int) -> tuple[float, float]:
         data_dir=args.data_dir,
         control_period=args.control_period,
     )
-    observations, _ = envs.reset(seed=0)
+    envs.reset(seed=0)
     # On the device from the start, as those of a network.
     outputs = make_tensor_factory(args.device).asarray(
         np.random.default_rng(0).uniform(-1.0, 1.0, (1 + args.decisions, count, *envs.single_action_space.shape)),
         "float32",
     )
 
-    def step(output: AnyArray) -> AnyArray:
-        """Step all environments, and return their numbers of simulated steps."""
-        nonlocal observations
-        actions = output if is_encoded else observations["robot_joint_position"] + 2 * MAX_TARGET_OFFSET * output
-        observations, _, _, _, infos = envs.step(actions)
-        return infos["steps"]
-
-    now = step(outputs[0])
+    now = envs.step(outputs[0])[-1]["steps"]
     simulated, started = now * 0, time.perf_counter()
     for output in outputs[1:]:
-        before, now = now, step(output)
+        before, now = now, envs.step(output)[-1]["steps"]
         # Steps of an episode that starts again are not counted.
         simulated += (now - before).clip(0)
     total = int(simulated.sum())
@@ -197,7 +184,7 @@ def main(args: Args) -> None:
         found = [(count, *measure_warp(args, count)) for count in args.sizes]
         rows = [(count, f"{steps:,.0f}", f"{decisions:,.1f}") for count, steps, decisions in found]
         print(format_table(("environments", "physics steps/s", "decisions/s"), rows))
-        print(f"\nObservation mode: {args.obs_mode}. Device: {args.device} (Warp's cpu is for tests).")
+        print(f"\nDevice: {args.device} (Warp's cpu is for tests).")
     else:
         print(measure_processor(args))
     print(f"\n{describe_machine()}, {date.today().isoformat()}.")

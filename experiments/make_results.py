@@ -12,6 +12,7 @@ simulated once, and an interrupted run continues. Each template `docs/results/da
 outcomes.
 """
 
+import itertools
 import json
 import re
 import shutil
@@ -155,10 +156,6 @@ class Evaluation:
         """Text with physics, giver and data, for captions of tables."""
         return f"exact physics, giver `replay`, {self.data}"
 
-    def format_rate(self, name: str) -> str:
-        """Return the rate (%) of an outcome, such as "success", with its 95 % Wilson interval, as text."""
-        return format_percent_rate(getattr(self, name), self.episodes, digits=2)
-
 
 def read_evaluations() -> list[Evaluation]:
     """Return all evaluations that are stored in `evaluations.json`."""
@@ -168,14 +165,9 @@ def read_evaluations() -> list[Evaluation]:
 def measure(
     receiver: str, out: Path, data_dir: str | None, setups: Sequence[str] = SETUPS, **config: str
 ) -> Iterable[Report]:
-    """Evaluate a receiver on the test split of each setup, and yield a report for each setup.
+    """Evaluate a receiver (name with options) on the test split of each setup, and yield a report for each setup.
 
-    Args:
-        receiver: Name of the receiver, with options.
-        out: Folder for the result folders.
-        data_dir: Data folder in HandoverSim's layout.
-        setups: Official setups.
-        config: Other fields of the configuration, such as another data set.
+    Result folders are in `out`; `config` has other fields of the configuration, such as another data set.
     """
     has_camera = parse_policy("receiver", receiver).policy_class.obs_mode != STATE
     robot, paths = PANDA_CAMERA if has_camera else PANDA, dict[int, Path]()
@@ -237,15 +229,14 @@ def add_evaluation(folder: Path, purpose: str) -> None:
 
 def format_row(one: Evaluation) -> list[str]:
     """Return the cells of the table row, in the order of `HEADER`, of an evaluation that was made with this library."""
-    start = [f"`{one.receiver}`", one.setup, f"{one.wait_s:g}", str(one.episodes)]
     score, version = f"{one.as_percent:.1f}", one.version
     if one.path:
         score = f"{score} ({one.report.official_means['AS'].format_interval()})"
         version = f"[{version} ({one.report.metadata.receiver_hash})]({one.path})"
-    rates = [one.format_rate(name) for name in OUTCOMES]
+    rates = [format_percent_rate(getattr(one, name), one.episodes, digits=2) for name in OUTCOMES]
     total = None if one.exec_s is None or one.plan_s is None else one.exec_s + one.plan_s
     times = ["" if value is None else f"{value:.3f}" for value in (one.exec_s, one.plan_s, total)]
-    return [*start, *rates, *times, score, version]
+    return [f"`{one.receiver}`", one.setup, f"{one.wait_s:g}", str(one.episodes), *rates, *times, score, version]
 
 
 def format_published_row(row: PublishedResult, setup: str, episodes: int) -> list[str]:
@@ -254,6 +245,13 @@ def format_published_row(row: PublishedResult, setup: str, episodes: int) -> lis
     times = [f"{value:.3f}" for value in (row.time_exec, row.time_plan, row.time_total)]
     start = [f"published: {row.method}", setup, f"{row.wait_s:g}", str(episodes)]
     return [*start, *rates, *times, f"{row.average_success:.1f}", ""]
+
+
+def list_published(receiver: str, setup: str) -> list[PublishedResult]:
+    """Return HandoverSim's published results on a setup of the methods that are compared with a receiver."""
+    methods = METHODS.get(receiver, ())
+    rows = [row for row in PUBLISHED.get(setup, ()) if row.source == "HandoverSim"]
+    return [row for row in rows if any(method in row.method for method in methods)]
 
 
 def select_evaluations(
@@ -272,16 +270,12 @@ def make_table(evaluations: Iterable[Evaluation], receivers: tuple[str, ...], da
     Planning and total times are left out if no evaluation has them.
     """
     chosen = select_evaluations(evaluations, receivers, dataset)
-    methods = METHODS.get(receivers[0], ()) if dataset == "dexycb" else ()
-    rows = []
+    has_published, rows = dataset == "dexycb" and receivers[0] in METHODS, []
     for setup, wait in sorted({(one.setup, one.wait_s) for one in chosen}, key=lambda key: (-key[1], key[0])):
         group = [one for one in chosen if (one.setup, one.wait_s) == (setup, wait)]
         rows += [format_row(one) for one in group]
-        rows += [
-            format_published_row(row, setup, group[0].episodes)
-            for row in PUBLISHED[setup]
-            if row.wait_s == wait and row.source == "HandoverSim" and any(method in row.method for method in methods)
-        ]
+        published = list_published(receivers[0], setup) if has_published else []
+        rows += [format_published_row(row, setup, group[0].episodes) for row in published if row.wait_s == wait]
     unknown = () if any(one.plan_s is not None for one in chosen) else ("plan s", "total s")
     kept = [number for number, title in enumerate(HEADER) if title not in unknown]
     table = format_table([HEADER[number] for number in kept], [[row[number] for number in kept] for row in rows])
@@ -289,7 +283,7 @@ def make_table(evaluations: Iterable[Evaluation], receivers: tuple[str, ...], da
     for receiver in receivers:
         inputs.setdefault(INPUTS[receiver][0], []).append(f"`{receiver}`")
     listed = "; ".join(f"{', '.join(names)}: {words}" for words, names in inputs.items())
-    note = " Published rows: all objects, MANO hands." if methods else ""
+    note = " Published rows: all objects, MANO hands." if has_published else ""
     return f"{table}\n\n*Test splits, {chosen[0].conditions}.{note} Input of {listed}.*"
 
 
@@ -312,30 +306,23 @@ def make_difference_table(
 ) -> str:
     """Return a Markdown table of paired differences of receivers on DexYCB's test splits, and the commands for them.
 
-    Differences are A minus B on the same scenes. Pairs without stored outcomes of both receivers are left out.
-
-    Args:
-        evaluations: All stored evaluations.
-        pairs: Receiver A, its wait (s), receiver B and its wait (s), for each row.
-        setups: Setups for which rows are made.
+    Differences are A minus B on the same scenes. A row of `pairs` has receiver A, its wait (s), receiver B and its wait
+    (s); it is left out without stored outcomes of both.
     """
-    names = tuple(name for pair in pairs for name in pair[::2])
-    chosen = select_evaluations(evaluations, names)
+    chosen = select_evaluations(evaluations, tuple(name for pair in pairs for name in pair[::2]))
     stored = {(one.setup, one.receiver, one.wait_s): one for one in chosen if one.path}
     rows, commands = [], []
-    for setup in setups:
-        for first, first_wait, second, second_wait in pairs:
-            sides = [stored.get((setup, first, first_wait)), stored.get((setup, second, second_wait))]
-            known = [one for one in sides if one is not None]
-            if len(known) < len(sides):
-                continue
-            paths = [FOLDER / one.path for one in known]
-            compared = handover_marl.compare(*paths)
-            labels = [f"`{one.receiver}` ({one.wait_s:g} s, version {one.version})" for one in known]
-            gains = [str(row[3]) for row in compared.build_tables()[0].rows]
-            rows.append([*labels, setup, str(len(compared.pairs)), *gains])
-            files = [str(path.relative_to(FOLDER.parents[1])) for path in paths]
-            commands.append(f"handover-marl compare {' '.join(files)}")
+    for setup, pair in itertools.product(setups, pairs):
+        sides = [stored[key] for key in ((setup, *pair[:2]), (setup, *pair[2:])) if key in stored]
+        if len(sides) < 2:
+            continue
+        paths = [FOLDER / one.path for one in sides]
+        compared = handover_marl.compare(*paths)
+        labels = [f"`{one.receiver}` ({one.wait_s:g} s, version {one.version})" for one in sides]
+        gains = [str(row[3]) for row in compared.build_tables()[0].rows]
+        rows.append([*labels, setup, str(len(compared.pairs)), *gains])
+        files = [str(path.relative_to(FOLDER.parents[1])) for path in paths]
+        commands.append(f"handover-marl compare {' '.join(files)}")
     if not rows:
         return NO_DIFFERENCES
     header = ["A (wait)", "B (wait)", "setup", "n episodes", *(f"{name}, points" for name in (*OUTCOMES, "AS"))]
@@ -393,18 +380,15 @@ def draw_figure(evaluations: list[Evaluation], path: Path) -> None:
         figure, axes = plt.subplots(figsize=(7.5, 4.2), layout="constrained")
         for one in own:
             low, high = compute_wilson_interval(one.success, one.episodes)
-            rate, color = 100 * one.success / one.episodes, colors[one.name]
+            rate, color, marker = 100 * one.success / one.episodes, colors[one.name], INPUTS[one.name][1]
             fill, errors = color if one.wait_s else "white", [[rate - 100 * low], [100 * high - rate]]
-            marker = INPUTS[one.name][1]
             axes.errorbar(
                 one.as_percent, rate, errors, capsize=2, linewidth=1, marker=marker, color=color, markerfacecolor=fill
             )
-        for row in PUBLISHED["s0"]:
-            for receiver, methods in METHODS.items():
-                if row.source == "HandoverSim" and any(method in row.method for method in methods):
-                    fill = colors[receiver] if row.wait_s else "white"
-                    marker = INPUTS[receiver][1]
-                    axes.plot(row.average_success, row.success, marker, color=fill, markeredgecolor="black")
+        for row, receiver in [(row, receiver) for row in PUBLISHED["s0"] for receiver in METHODS]:
+            if row in list_published(receiver, "s0"):
+                fill, marker = colors[receiver] if row.wait_s else "white", INPUTS[receiver][1]
+                axes.plot(row.average_success, row.success, marker, color=fill, markeredgecolor="black")
         for receiver in receivers:
             axes.plot([], [], INPUTS[receiver][1], color=colors[receiver], label=receiver)
         for marker, label in MARKERS.items():

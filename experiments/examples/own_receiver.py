@@ -15,22 +15,26 @@ import tyro
 import handover_marl
 from handover_marl.cli.options import SceneNumbers
 from handover_marl.learning.schemes import make_scheme
-from handover_marl.learning.training.scene_arguments import EvaluationArgs
+from handover_marl.learning.training.scene_arguments import SetupArgs
 from handover_marl.receivers import PolicyContext, Receiver
 from handover_marl.testing import check_receiver
 
 
 @dataclass(frozen=True)
-class Args(EvaluationArgs):
+class Args(SetupArgs):
     """Arguments of the evaluation of a new receiver.
 
     Attributes:
         split: Split of the setup: train, val or test.
         scenes: Scene numbers; default: all scenes of the split.
+        physics: Physics engine: fast, exact or mujoco.
+        workers: Number of worker processes; default: one per core.
     """
 
     split: str = "val"
     scenes: SceneNumbers = None
+    physics: str = "fast"
+    workers: int | None = None
 
 
 class ServoReceiver(Receiver):

@@ -69,11 +69,9 @@ class LeRobotEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         return self._rename(observation), reward, terminated, truncated, {**info, "is_success": success}
 
     def render(self) -> npt.NDArray[np.uint8]:
-        """Return the last image of the wrist camera, (224, 224, 3)."""
         return self._image
 
     def close(self) -> None:
-        """Free the simulation."""
         self._env.close()
 
     def _rename(self, observation: Observation) -> Observation:

@@ -52,11 +52,9 @@ class HandoverBenchmark(StepBenchmark):
         return {}
 
     def get_tasks(self) -> list[dict[str, Any]]:
-        """Return a task for each scene of the split."""
         return [{"name": f"scene {scene}", "scene_id": scene} for scene in self._handover.scene_ids]
 
     def reset(self, task: dict[str, Any]) -> dict[str, Any]:
-        """Start the handover of a scene, and return the receiver's observation."""
         self._scheme.reset()
         self._observation, _ = self._env.reset(seed=0, options={"scene_id": task["scene_id"]})
         self._recorder.record_video(self._observation["wrist_rgb"])
@@ -71,7 +69,6 @@ class HandoverBenchmark(StepBenchmark):
         return StepResult(self._observation, reward, terminated or truncated, info)
 
     def make_obs(self, raw_obs: dict[str, Any], task: dict[str, Any]) -> dict[str, Any]:
-        """Return image, joints and the task in words."""
         return {
             "images": {"wrist": raw_obs["wrist_rgb"]},
             "state": raw_obs["robot_joint_position"],
@@ -84,19 +81,15 @@ class HandoverBenchmark(StepBenchmark):
         return {"success": status == EpisodeStatus.SUCCESS, "contact": float(EpisodeStatus.HUMAN_CONTACT in status)}
 
     def get_metric_keys(self) -> dict[str, str]:
-        """Return the metrics whose means vla-eval reports."""
         return {"success": "mean", "contact": "mean"}
 
     def get_metadata(self) -> dict[str, Any]:
-        """Return the largest number of actions in an episode of 13 s."""
         return {"max_steps": self._max_steps}
 
     def get_action_spec(self) -> dict[str, DimSpec]:
-        """Return the components of an action."""
         return {"position": POSITION_DELTA, "rotation": ROTATION_AA, "gripper": GRIPPER_CLOSE_POS}
 
     def get_observation_spec(self) -> dict[str, DimSpec]:
-        """Return the components of an observation."""
         return {"wrist": IMAGE_RGB, "state": STATE_JOINT, "language": LANGUAGE}
 
     def get_hold_action(self, last_action: dict[str, Any] | None) -> dict[str, Any]:
@@ -105,5 +98,4 @@ class HandoverBenchmark(StepBenchmark):
         return {"actions": np.array([0.0] * 6 + [gripper], dtype=np.float32)}
 
     def cleanup(self) -> None:
-        """Free the simulation."""
         self._env.close()

@@ -7,7 +7,7 @@ import handover_marl
 from handover_marl.envs.wrappers.encode import EncodedEnv
 from handover_marl.learning.policy_files import write_policy
 from handover_marl.learning.policy_spec import DenseNetwork, PolicySpec
-from handover_marl.learning.training.run_folder import describe_origin, print_validation
+from handover_marl.learning.training.run_folder import describe_origin, validate
 from handover_marl.learning.training.scene_arguments import RlArgs
 
 #: Names of the features that each agent observes, and of the action scheme that decodes its outputs.
@@ -42,4 +42,5 @@ def write_pair(networks: dict[str, DenseNetwork], args: PairArgs, script: str) -
         write_policy(path, PolicySpec(agent, FEATURES[agent], SCHEMES[agent], args.control_period, origin), network)
     args = args.resolve_setup()
     giver, receiver = (f"learned:{Path(args.out) / agent}.npz" for agent in ("giver", "receiver"))
-    print_validation(args, args.val_scenes, args.physics, giver, receiver, f"{args.decisions} decisions")
+    if args.val_scenes:
+        validate(args, args.val_scenes, giver, receiver, f"{args.decisions} decisions", physics=args.physics)

@@ -23,7 +23,7 @@ from rich.progress import track
 from torch import nn
 
 from handover_marl.envs.agents import AGENTS
-from handover_marl.learning.adapters.modules import dense_network_from_module
+from handover_marl.learning.adapters.modules import dense_network_from_layers
 from handover_marl.learning.training.run_folder import make_mlp
 from handover_marl.learning.training.scene_arguments import run_script
 
@@ -67,7 +67,7 @@ def main(args: PairArgs) -> None:
     for _ in track(range(math.ceil(args.decisions / args.batch_size)), description="updates"):
         algorithm.train()
     # The means are not clipped.
-    networks = {agent: dense_network_from_module(algorithm.get_module(agent).actor, "tanh") for agent in AGENTS}
+    networks = {agent: dense_network_from_layers(algorithm.get_module(agent).actor, "tanh") for agent in AGENTS}
     algorithm.stop()
     ray.shutdown()
     write_pair(networks, args, "train_both_rllib")

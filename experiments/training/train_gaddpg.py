@@ -11,6 +11,7 @@ expert labels the states (DAgger). Only the evaluation on the validation split s
 logs, the expert's plans, the states, and a checkpoint, from which `--resume` continues.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,23 +20,15 @@ import torch
 
 from handover_marl.errors import OptionError
 from handover_marl.geometry.panda import PANDA_CAMERA
-from handover_marl.learning.imitation.gaddpg.data_generation import (
-    CHUNK_SIZE,
-    DataGeneratorConfig,
-    ExpertPlans,
-    ImitationStates,
-    RolloutTask,
-    collect_states,
-    list_shared_scenes,
-    make_plans,
-)
+from handover_marl.learning.imitation.gaddpg.data_generation import DataGenerator, ImitationStates, list_shared_scenes
+from handover_marl.learning.imitation.gaddpg.expert import ExpertPlan
 from handover_marl.learning.imitation.gaddpg.training import GaddpgLearner, ImitationBatches
 from handover_marl.learning.imitation.run import ImitationArgs, ImitationRun
+from handover_marl.learning.imitation.samples import generate_samples, join_samples
 from handover_marl.learning.networks.gaddpg_network import GaddpgNetwork
+from handover_marl.learning.networks.weights import read_network_weights
 from handover_marl.learning.training.scene_arguments import run_script
 
-# Index of the repetition that gives held-out states, and first one of training rollouts.
-HELD_OUT_REPETITION, FIRST_REPETITION = 99, 1000
 # One of so many planned scenarios gives held-out states.
 HELD_OUT_STRIDE = 50
 
@@ -47,7 +40,6 @@ class Args(ImitationArgs):
     Attributes:
         setups: Official setups; the network is trained on scenes that are in the training splits of
             all these setups, so that no test scene is used.
-        val_setup: Setup whose validation split selects the network.
         scenarios: Number of scenarios for which the expert plans.
         rounds: Number of rounds in which the network acts (DAgger), evenly spread over the training.
         episodes: Number of rollouts of each scenario in the first round; one in later rounds.
@@ -60,7 +52,6 @@ class Args(ImitationArgs):
 
     out: str = "runs/gaddpg"
     setups: tuple[str, ...] = ("s0", "s1", "s2", "s3")
-    val_setup: str = "s0"
     scenarios: int = 2000
     rounds: int = 4
     episodes: int = 2
@@ -70,51 +61,56 @@ class Args(ImitationArgs):
     spare_steps: int = 5
     max_steps: int = 30
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for name in ("scenarios", "episodes", "max_steps"):
-            if getattr(self, name) < 1:
-                raise OptionError(f"{name} must be at least 1, got {getattr(self, name)}")
-        if not self.waits:
-            raise OptionError("waits must contain at least one waiting time, got none")
-
-
-def make_tasks(args: Args, plans: ExpertPlans, number: int) -> list[RolloutTask]:
-    """Return the rollouts of the round `number`: of the expert in round 0, of the network in later ones."""
-    numbers = sorted(plans)[max(1, len(plans) // HELD_OUT_STRIDE) :] or sorted(plans)
-    repetitions = [number] if number > 0 else [-1 - episode for episode in range(args.episodes)]
-    if number > 0:
-        rng = np.random.default_rng((args.seed, number))
-        chosen = rng.choice(numbers, max(1, round(args.repeated_share * len(numbers))), replace=False)
-        numbers = sorted(chosen.tolist())
-    chunks = [numbers[first : first + CHUNK_SIZE] for first in range(0, len(numbers), CHUNK_SIZE)]
-    return [
-        RolloutTask(chunk, [plans[number] for number in chunk], FIRST_REPETITION + repetition)
-        for repetition in repetitions
-        for chunk in chunks
-    ]
-
 
 def main(args: Args) -> Path:
     """Train in all rounds; return the weight file of the network with the highest success on the validation split."""
-    data = args.open_dataset(PANDA_CAMERA)
-    scenes = list_shared_scenes(data, args.setups)
+    args = args.resolve_setup()
+    scenes = list_shared_scenes(args.open_dataset(PANDA_CAMERA), args.setups)
     torch.manual_seed(args.seed)
     network = GaddpgNetwork(args.spare_steps, args.max_steps)
     learner = GaddpgLearner(network, args.updates, args.torch_device)
-    run = ImitationRun(args, "gaddpg", args.val_setup, PANDA_CAMERA, learner)
-    generator = DataGeneratorConfig(scenes, data.name, args.data_dir, args.seed)
-    plans = make_plans(run.folder / "plans", generator, args.scenarios, args.workers)
+    run = ImitationRun(args, "gaddpg", PANDA_CAMERA, learner)
 
-    def load_states(tasks: list[RolloutTask], name: str, weights: Path | None = None) -> ImitationStates:
-        return collect_states(run.folder / "states" / name, generator, tasks, weights, args.workers)
+    def make_generator() -> DataGenerator:
+        return DataGenerator(args.open_dataset(PANDA_CAMERA), scenes, args.seed)
 
-    numbers = sorted(plans)[: max(1, len(plans) // HELD_OUT_STRIDE)]
-    held_out = load_states([RolloutTask(numbers, [plans[number] for number in numbers], HELD_OUT_REPETITION)], "held")
+    found = generate_samples(
+        ExpertPlan, run.folder / "plans", range(args.scenarios), lambda: make_generator().plan, "plans", args.workers
+    )
+    plans = {number: plan for number, plan in enumerate(found) if len(plan.goals)}
+    if not plans:
+        raise OptionError("scenarios must have reachable grasps, got none that the expert reaches; plan more of them")
+
+    def load_states(numbers: list[int], repetition: int, weights: Path | None = None) -> ImitationStates:
+        """Return the states of one rollout of each scenario; run those that have no file yet."""
+
+        def make_collector() -> Callable[[int], ImitationStates]:
+            generator = make_generator()
+            policy = None if weights is None else read_network_weights(weights, GaddpgNetwork)[0].predict_step
+            return lambda number: generator.collect_states(number, plans[number], repetition, policy)
+
+        folder = run.folder / "states" / str(repetition)
+        return join_samples(
+            generate_samples(ImitationStates, folder, numbers, make_collector, "rollouts", args.workers)
+        )
+
+    planned = sorted(plans)
+    n_held_out = max(1, len(planned) // HELD_OUT_STRIDE)
+    held_out, training = planned[:n_held_out], planned[n_held_out:] or planned
+
+    def collect(number: int) -> ImitationStates:
+        """Return the states of a round: rollouts of the expert in round 0, of the network in later ones."""
+        if number == 0:
+            return join_samples([load_states(training, 1 + episode) for episode in range(args.episodes)])
+        rng = np.random.default_rng((args.seed, number))
+        count = max(1, round(args.repeated_share * len(training)))
+        chosen = rng.choice(training, count, replace=False)
+        return load_states(sorted(chosen.tolist()), args.episodes + number, run.latest)
+
     return run.train(
-        lambda number: load_states(make_tasks(args, plans, number), f"round_{number}", run.latest if number else None),
+        collect,
         ImitationBatches,
-        ImitationBatches(held_out),
+        ImitationBatches(load_states(held_out, 0)),
         [{"wait": wait} for wait in args.waits],
         args.rounds,
     )

@@ -11,7 +11,7 @@ anew after each round. The folder gets `policy.npz` (`--givers adaptive:weights=
 
 import time
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,8 +24,7 @@ import handover_marl
 from handover_marl.config import ProtocolConfig
 from handover_marl.episode.observations import add_episode_axis, giver_observation_space
 from handover_marl.execution.files import write_arrays
-from handover_marl.execution.reading import read_arrays
-from handover_marl.learning.adapters.modules import dense_network_from_layers
+from handover_marl.learning.imitation.samples import join_samples, read_samples
 from handover_marl.learning.offers import (
     N_OFFER_FEATURES,
     OFFER_FEATURES,
@@ -34,12 +33,13 @@ from handover_marl.learning.offers import (
     draw_offers,
 )
 from handover_marl.learning.policy_files import write_policy
-from handover_marl.learning.policy_spec import DenseNetwork, InputNormalization, PolicySpec
+from handover_marl.learning.policy_spec import DenseNetwork, PolicySpec
 from handover_marl.learning.training.run_folder import (
     describe_origin,
+    fit_network,
     open_run_folder,
-    print_validation,
     spawn_seeds,
+    validate,
 )
 from handover_marl.learning.training.scene_arguments import SetupArgs, run_script
 from handover_marl.policies.policy import make_policy_context
@@ -134,13 +134,9 @@ class Collector:
             features="flat_giver",
             action_scheme=ACTIONS,
             autoreset="same_step",
-            setup=args.setup,
-            split="train",
-            scenes=args.training_scenes,
-            dataset=args.dataset,
-            data_dir=args.data_dir,
             control_period=CONTROL_PERIOD,
             processes=1,
+            **args.scene_options,
         )
         self.observations = self.envs.reset(seed=seeds)[0]
 
@@ -180,27 +176,20 @@ class Collector:
 def fit(offers: Offers, args: Args, seed: int) -> DenseNetwork:
     """Train a new network (48 to 2) that predicts success (logit) and time (share of the limit) of offers."""
     torch.manual_seed(seed)
-    inputs, size = torch.as_tensor(offers.features), offers.features.shape[1]
-    mean, scale = inputs.mean(0), inputs.std(0).clamp(min=0.05)
-    inputs = (inputs - mean) / scale
-    successes = torch.as_tensor(offers.successes).float()
+    inputs, successes = torch.as_tensor(offers.features), torch.as_tensor(offers.successes).float()
     durations = torch.as_tensor(offers.steps / ProtocolConfig().horizon_steps).float()
-    hidden = [(nn.Linear(n, args.width), nn.SiLU(), nn.Dropout(args.dropout)) for n in (size, args.width)]
+    hidden = [(nn.Linear(n, args.width), nn.SiLU(), nn.Dropout(args.dropout)) for n in (inputs.shape[1], args.width)]
     network = nn.Sequential(*hidden[0], *hidden[1], nn.Linear(args.width, 2))
-    optimizer = torch.optim.AdamW(network.parameters(), args.learning_rate, weight_decay=args.weight_decay)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, args.updates)
-    for _ in range(args.updates):
-        rows = torch.randint(len(inputs), (args.batch_size,))
-        logits, times = network(inputs[rows]).unbind(-1)
+
+    def compute_loss(outputs: torch.Tensor, rows: torch.Tensor) -> torch.Tensor:
+        logits, times = outputs.unbind(-1)
         loss = nn.functional.binary_cross_entropy_with_logits(logits, successes[rows])
         # The time of a failure says nothing about that of a success.
         errors = (times - durations[rows]).square() * successes[rows]
-        optimizer.zero_grad()
-        (loss + errors.sum() / successes[rows].sum().clamp(min=1)).backward()
-        optimizer.step()
-        schedule.step()
-    normalization = InputNormalization(mean.double().numpy(), scale.double().numpy(), np.full(size, 5.0))
-    return replace(dense_network_from_layers(network, "silu"), normalization=normalization)
+        return loss + errors.sum() / successes[rows].sum().clamp(min=1)
+
+    batches = torch.randint(len(inputs), (args.updates, args.batch_size)).unbind()
+    return fit_network(network, "silu", inputs, batches, compute_loss, args.learning_rate, args.weight_decay)
 
 
 def train(args: Args, folder: Path) -> Offers:
@@ -208,7 +197,7 @@ def train(args: Args, folder: Path) -> Offers:
     torch.set_num_threads(1)
     path, offers = folder / OFFERS, None
     if path.exists():
-        offers = Offers(**read_arrays(path, Offers._fields))
+        offers = read_samples(Offers, path)
     first = known = 0 if offers is None else len(offers.status)
     with ThreadPoolExecutor(args.workers) as pool:
         collectors = list(pool.map(lambda number: Collector(number, args, first), range(args.workers)))
@@ -216,8 +205,8 @@ def train(args: Args, folder: Path) -> Offers:
         while offers is None or known < args.episodes:
             network = None if offers is None else fit(offers, args, args.seed + known)
             parts = pool.map(Collector.collect, collectors, [network] * args.workers)
-            found = join([part for each in parts for part in each])
-            offers = found if offers is None else join([offers, found])
+            found = join_samples([part for each in parts for part in each])
+            offers = found if offers is None else join_samples([offers, found])
             known = len(offers.status)
             write_arrays(path, offers._asdict())
             print(
@@ -230,11 +219,6 @@ def train(args: Args, folder: Path) -> Offers:
     return offers
 
 
-def join(parts: list[Offers]) -> Offers:
-    """Concatenate the offers of several parts."""
-    return Offers(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
-
-
 def main(args: Args) -> Path:
     args = args.resolve_setup()
     for receiver in args.receivers:
@@ -245,8 +229,9 @@ def main(args: Args) -> Path:
     write_policy(folder / POLICY, spec, network)
     for receiver in args.receivers:
         for giver in ("replay", f"adaptive:weights={folder / POLICY}"):
-            label = f"{receiver} with {giver}"
-            print_validation(args, args.val_scenes, args.val_physics, giver, receiver, label)
+            if args.val_scenes:
+                label = f"{receiver} with {giver}"
+                validate(args, args.val_scenes, giver, receiver, label, physics=args.val_physics)
     return folder / POLICY
 
 

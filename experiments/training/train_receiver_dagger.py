@@ -13,7 +13,7 @@ It maps features to the outputs of an action scheme, such as motions of the grip
 `--resume` continues a run.
 """
 
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -27,22 +27,21 @@ from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP
 from handover_marl.envs.vector.policy_batches import make_policy_batch
 from handover_marl.episode.observations import Observation
 from handover_marl.errors import OptionError
-from handover_marl.execution.files import write_arrays
 from handover_marl.learning.action_scheme import InvertibleScheme
-from handover_marl.learning.adapters.modules import dense_network_from_layers
 from handover_marl.learning.features import make_array_features
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
-from handover_marl.learning.imitation.samples import join_samples, read_samples
+from handover_marl.learning.imitation.samples import generate_samples, join_samples
 from handover_marl.learning.policy_files import read_policy, write_policy
-from handover_marl.learning.policy_spec import DenseNetwork, InputNormalization, PolicySpec
+from handover_marl.learning.policy_spec import DenseNetwork, PolicySpec
 from handover_marl.learning.schemes import make_array_scheme
 from handover_marl.learning.training.run_folder import (
     POLICY,
     describe_origin,
+    fit_network,
     make_mlp,
     open_run_folder,
-    print_validation,
     spawn_seeds,
+    validate,
 )
 from handover_marl.learning.training.scene_arguments import SetupArgs, run_script
 from handover_marl.policies.policy import make_policy_context
@@ -128,28 +127,21 @@ class Collector:
 
     Args:
         args: Arguments of the training.
-
-    Attributes:
         period: Control period of the expert (s).
     """
 
-    def __init__(self, args: Args) -> None:
-        self._args, self._has_student = args, False
+    def __init__(self, args: Args, period: float) -> None:
+        self._args, self._period, self._has_student = args, period, False
         count, dataset, self._rows = args.num_envs, args.open_dataset(), np.arange(args.num_envs)
         reference = parse_policy("receiver", args.expert)
-        self.period = reference.make(dataset, setup=args.setup).hold_time
         self._envs = handover_marl.vector_env(
             count,
             "receiver",
             args.giver,
             autoreset="same_step",
-            processes=1,
-            setup=args.setup,
-            split="train",
-            scenes=args.training_scenes,
-            dataset=args.dataset,
-            data_dir=args.data_dir,
-            control_period=self.period,
+            control_period=period,
+            threads=1,
+            **args.scene_options,
         )
         context = self._context = make_policy_context(dataset, setup=args.setup)
         selector = LowestCostGraspSelector(context, count)
@@ -176,16 +168,17 @@ class Collector:
         observation, _ = self._envs.reset(seed=seeds)
         for row in self._rows.tolist():
             self._start(row, observation, rng)
-        for _ in range(round(args.seconds / self.period)):
+        for _ in range(round(args.seconds / self._period)):
             vectors = self._features(self._rows, observation)
             outputs = np.zeros((args.num_envs, self._scheme.size), np.float32)
             if student is not None:
                 outputs[:] = student(vectors)
                 self._is_student &= (outputs[:, -1] <= 0.0) & (observation["time"][:, 0] < self._takeovers)
             rows = np.flatnonzero(~self._is_student)
+            is_change = np.zeros(0, bool)
             if len(rows):
                 outputs[rows], is_change = self._ask_expert(rows, observation)
-                parts.append(Decisions(vectors[rows], outputs[rows], is_change))
+            parts.append(Decisions(vectors[rows], outputs[rows], is_change))
             noise = args.disturbance * rng.standard_normal(outputs.shape)
             noise *= rng.random((args.num_envs, 1)) < args.disturbed_share
             noise[:, -1] = 0.0  # the gripper is not disturbed
@@ -224,35 +217,15 @@ def fit(decisions: Decisions, args: Args) -> DenseNetwork:
     """Train a new network from features to the expert's outputs."""
     torch.manual_seed(args.seed)
     inputs, targets = torch.as_tensor(decisions.features), torch.as_tensor(decisions.outputs)
-    mean, scale = inputs.mean(0), inputs.std(0).clamp(min=0.05)
-    inputs = ((inputs - mean) / scale).clamp(-5.0, 5.0)
     network = make_mlp(inputs.shape[1], targets.shape[1], args.width)
-    optimizer = torch.optim.AdamW(network.parameters(), args.learning_rate, weight_decay=args.weight_decay)
     updates = max(1, round(args.epochs * len(inputs) / args.batch_size))
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, updates)
     weights = 1.0 + (args.change_weight - 1.0) * torch.as_tensor(decisions.is_change).double()
-    for rows in torch.multinomial(weights, updates * args.batch_size, replacement=True).split(args.batch_size):
-        loss = nn.functional.smooth_l1_loss(network(inputs[rows]), targets[rows], beta=0.2)
-        optimizer.zero_grad()
-        loss.backward()
-        optimizer.step()
-        schedule.step()
-    print(f"{len(inputs)} decisions: loss {loss.item():.4f}", flush=True)
-    size = inputs.shape[1]
-    normalization = InputNormalization(mean.double().numpy(), scale.double().numpy(), np.full(size, 5.0))
-    return replace(dense_network_from_layers(network, "tanh"), normalization=normalization)
+    batches = torch.multinomial(weights, updates * args.batch_size, replacement=True).split(args.batch_size)
 
+    def compute_loss(outputs: torch.Tensor, rows: torch.Tensor) -> torch.Tensor:
+        return nn.functional.smooth_l1_loss(outputs, targets[rows], beta=0.2)
 
-def collect_round(collectors: list[Collector], number: int, student: DenseNetwork | None, args: Args) -> Decisions:
-    """Return the decisions of a round, whose batches are divided among the collectors."""
-
-    def collect(first: int) -> list[Decisions]:
-        batches = range(first, args.batches, len(collectors))
-        return [collectors[first].collect(number, batch, student) for batch in batches]
-
-    with ThreadPoolExecutor(len(collectors)) as pool:
-        found = list(pool.map(collect, range(len(collectors))))
-    return join_samples([found[batch % len(found)][batch // len(found)] for batch in range(args.batches)])
+    return fit_network(network, "tanh", inputs, batches, compute_loss, args.learning_rate, args.weight_decay)
 
 
 def main(args: Args) -> Path:
@@ -260,25 +233,30 @@ def main(args: Args) -> Path:
     dataset = args.open_dataset()
     folder = open_run_folder(args.out, args, args.resume, dataset.name, ("rounds", "closing_margin", "workers"))
     torch.set_num_threads(1)  # The networks are small, and the other cores simulate.
-    collectors = [Collector(args) for _ in range(args.workers)]
+    period = parse_policy("receiver", args.expert).make(dataset, setup=args.setup).hold_time
     origin = describe_origin("train_receiver_dagger", args)
-    spec = PolicySpec("receiver", args.features, args.actions, collectors[0].period, origin)
-    rounds: list[Decisions] = []
+    spec = PolicySpec("receiver", args.features, args.actions, period, origin)
+    decisions: list[Decisions] = []
     student = None
     for number in range(args.rounds):
-        path = folder / f"decisions_{number}.npz"
-        if not path.exists():
-            write_arrays(path, collect_round(collectors, number, student, args)._asdict())
-        rounds.append(read_samples(Decisions, path))
+
+        def make_collector(number: int = number, student: DenseNetwork | None = student) -> Callable[[int], Decisions]:
+            collector = Collector(args, period)
+            return lambda batch: collector.collect(number, batch, student)
+
+        batches = range(args.batches)
+        part = folder / f"decisions_{number}"
+        decisions += generate_samples(Decisions, part, batches, make_collector, "batches", args.workers)
         policy = folder / f"policy_{number}.npz"
         if not policy.exists():
-            write_policy(policy, spec, fit(join_samples(rounds), args))
+            write_policy(policy, spec, fit(join_samples(decisions), args))
         student = read_policy(policy, "receiver")[1]
         *others, biases = student.biases
         biases = np.append(biases[:-1], biases[-1] - args.closing_margin)
         write_policy(folder / POLICY, spec, replace(student, biases=(*others, biases)))
-        label = f"{number + 1} rounds, giver {args.giver}"
-        print_validation(args, args.val_scenes, args.val_physics, args.giver, f"learned:{folder / POLICY}", label)
+        if args.val_scenes:
+            label, receiver = f"{number + 1} rounds, giver {args.giver}", f"learned:{folder / POLICY}"
+            validate(args, args.val_scenes, args.giver, receiver, label, physics=args.val_physics)
     return folder / POLICY
 
 

@@ -12,11 +12,12 @@ one device, for example `--backend warp --device cuda --num-envs 1024`. The poli
 """
 
 import itertools
+import math
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from gymnasium.spaces import flatdim
@@ -26,10 +27,10 @@ from torch.distributions import Normal
 import handover_marl
 from handover_marl.envs.custom_rewards import set_discount
 from handover_marl.geometry.arrays import make_tensor_factory
-from handover_marl.learning.adapters.modules import dense_network_from_module
+from handover_marl.learning.adapters.modules import dense_network_from_layers
 from handover_marl.learning.policy_files import check_policy_path, read_policy, write_policy
 from handover_marl.learning.policy_spec import DenseNetwork, PolicySpec
-from handover_marl.learning.training.run_folder import describe_origin, make_mlp, print_validation, spawn_seeds
+from handover_marl.learning.training.run_folder import describe_origin, make_mlp, spawn_seeds, validate
 from handover_marl.learning.training.scene_arguments import RlArgs, run_script
 from handover_marl.simulation.engines import CPU, THREADS, WARP, BatchBackend, check_backend
 
@@ -46,7 +47,6 @@ class Args(RlArgs):
         rewards: Rewards: sparse, shaped, or module:name of own ones, see docs/reference/rewards.md.
         initial: Policy file whose network is trained further, with its features, actions and control period; None
             trains a new network.
-        critic_decisions: Number of decisions at the start from which only the value function is learned.
         minutes: Largest wall-clock time of the training (min), without the evaluation.
         workers: Number of processes that simulate the environments; not used with the backend "warp".
         backend: Backend of the environments: "threads" for MuJoCo on the processor, or "warp" for MuJoCo Warp.
@@ -62,7 +62,6 @@ class Args(RlArgs):
     actions: str = "grasp_servo"
     rewards: str = "sparse"
     initial: Path | None = None
-    critic_decisions: int = 0
     decisions: int = 12_288
     minutes: float = 30.0
     num_envs: int = 128
@@ -129,61 +128,98 @@ class Batch(NamedTuple):
     targets: torch.Tensor
 
 
-class Rollout(NamedTuple):
-    """Decisions of one collector, and for each episode that ended meanwhile whether it was a success."""
-
-    batch: Batch
-    outcomes: list[bool]
-
-
 class Collector:
-    """Collector of decisions from environments in a process; episodes continue from one rollout to the next."""
+    """Collector of the decisions of one or both agents in environments of a process.
 
-    def __init__(self, number: int, args: Args) -> None:
-        self.args, self.outcomes = args, list[bool]()
-        count = args.num_envs // args.workers
-        where = {"processes": 1} if args.backend == THREADS else {"backend": args.backend, "device": args.device}
-        self.envs = handover_marl.vector_env(
-            count,
-            "receiver",
-            args.giver,
-            features=args.features,
-            action_scheme=args.actions,
-            autoreset="same_step",
-            rewards=set_discount(args.rewards, args.discount),
-            **where,
-            **args.env_options,
-        )
-        noise_seed, *seeds = spawn_seeds(1 + count, args.seed, number)
-        self.generator = torch.Generator(args.device).manual_seed(noise_seed)
-        self.features = torch.as_tensor(self.envs.reset(seed=seeds)[0])
+    Episodes continue from one rollout to the next.
+
+    Args:
+        number: Number of the collector, which seeds its random numbers.
+        args: Arguments of the training.
+        agents: Agents that learn.
+        envs: Vector environment of these agents.
+        sees_both: Whether the value function of an agent observes the features of both, its own ones first.
+        device: Device of environments and networks.
+    """
+
+    def __init__(
+        self, number: int, args: RlArgs, agents: tuple[str, ...], envs: Any, sees_both: bool, device: str
+    ) -> None:
+        self.args, self.agents, self.envs, self.sees_both, self.device = args, agents, envs, sees_both, device
+        noise_seed, *seeds = spawn_seeds(1 + envs.num_envs, args.seed, number)
+        self.generator = torch.Generator(device).manual_seed(noise_seed)
+        observations = self._split(envs.reset(seed=seeds)[0])
+        self.takes_tensors = isinstance(observations[agents[0]], torch.Tensor)
+        self.features, self.outcomes = self._join(observations), list[bool]()
+
+    def make_model(self, agent: str, gripper_std: float | None, initial: DenseNetwork | None) -> ActorCritic:
+        """Make the networks of an agent; `gripper_std` is the initial deviation of the last output if it differs."""
+        observed, actions = self.envs.single_observation_space, self.envs.single_action_space
+        if len(self.agents) > 1:
+            observed, actions = observed(agent), actions(agent)
+        stds = [self.args.initial_std] * actions.shape[0]
+        stds[-1] = stds[-1] if gripper_std is None else gripper_std
+        n_features = self.features[agent].shape[-1]
+        return ActorCritic(flatdim(observed), stds, self.args.width, initial, n_features).to(self.device)
+
+    def _split(self, values: Any) -> Any:
+        """Return values by agent; environments of one agent have no dict."""
+        return values if len(self.agents) > 1 else {self.agents[0]: values}
+
+    def _join(self, observations: dict[str, Any]) -> dict[str, torch.Tensor]:
+        """Return the features of each agent, followed by those of the other agent if value functions observe both."""
+        own = [torch.as_tensor(observations[agent]) for agent in self.agents]
+        if self.sees_both:
+            own = [torch.cat(parts, -1) for parts in (own, own[::-1])]
+        return dict(zip(self.agents, own, strict=True))
 
     @torch.no_grad()
-    def collect(self, model: ActorCritic) -> Rollout:
-        """Take steps with the policy for one update; return the decisions, and the outcomes of episodes that ended."""
+    def collect(self, models: dict[str, ActorCritic]) -> dict[str, Batch]:
+        """Take steps for one update; return each agent's decisions, and keep the outcomes of episodes that ended."""
         self.outcomes = []
-        steps = [self._step(model) for _ in range(self.args.batch_size // self.args.num_envs)]
-        features, actions, log_probs, values, rewards, continues = map(torch.stack, zip(*steps, strict=True))
-        advantages = compute_advantages(rewards, values, continues, model.compute_value(self.features), self.args)
-        return Rollout(Batch(features, actions, log_probs, advantages, advantages + values), self.outcomes)
+        steps = [self._step(models) for _ in range(self.args.batch_size // self.args.num_envs)]
+        batches = {}
+        for agent, model in models.items():
+            parts = map(torch.stack, zip(*(step[agent] for step in steps), strict=True))
+            features, actions, log_probs, values, rewards, continues = parts
+            last_values = model.compute_value(self.features[agent])
+            advantages = compute_advantages(rewards, values, continues, last_values, self.args)
+            batches[agent] = Batch(features, actions, log_probs, advantages, advantages + values)
+        return batches
 
-    def _step(self, model: ActorCritic) -> tuple[torch.Tensor, ...]:
-        features, policy = self.features, model.compute_distribution(self.features)
-        noise = torch.randn(policy.mean.shape, generator=self.generator, device=self.args.device)
-        actions = policy.mean + policy.stddev * noise
-        given = actions if self.args.backend == WARP else actions.numpy()
-        found, rewards, terminated, truncated, infos = self.envs.step(given)
-        ended = torch.as_tensor(terminated | truncated)
+    def _step(self, models: dict[str, ActorCritic]) -> dict[str, tuple[torch.Tensor, ...]]:
+        features = self.features
+        policies = {agent: model.compute_distribution(features[agent]) for agent, model in models.items()}
+        actions = {}
+        for agent, policy in policies.items():
+            noise = torch.randn(policy.mean.shape, generator=self.generator, device=self.device)
+            actions[agent] = policy.mean + policy.stddev * noise
+        given: dict[str, Any] = {agent: own if self.takes_tensors else own.numpy() for agent, own in actions.items()}
+        result = self.envs.step(given if len(self.agents) > 1 else given[self.agents[0]])
+        found, rewards, terminated, truncated, infos = map(self._split, result)
+        # Episodes end for both agents at once.
+        terminal = torch.as_tensor(terminated[self.agents[0]])
+        ended = terminal | torch.as_tensor(truncated[self.agents[0]])
         for number in ended.nonzero()[:, 0].tolist():
-            status = int(infos["final_info"]["status"][number])
+            status = int(infos[self.agents[0]]["final_info"]["status"][number])
             self.outcomes.append(status == handover_marl.EpisodeStatus.SUCCESS)
-            if not terminated[number]:
+            if not terminal[number]:
                 # The value of the last state stands for the rewards after the truncation.
-                last = torch.as_tensor(infos["final_obs"][number])
-                rewards[number] += self.args.discount * model.compute_value(last).item()
-        self.features = torch.as_tensor(found)
-        log_probs, values = policy.log_prob(actions).sum(-1), model.compute_value(features)
-        return features, actions, log_probs, values, torch.as_tensor(rewards).float(), (~ended).float()
+                last = self._join({agent: infos[agent]["final_obs"][number] for agent in self.agents})
+                for agent, model in models.items():
+                    rewards[agent][number] += self.args.discount * model.compute_value(last[agent]).item()
+        self.features = self._join(found)
+        return {
+            agent: (
+                features[agent],
+                actions[agent],
+                policies[agent].log_prob(actions[agent]).sum(-1),
+                model.compute_value(features[agent]),
+                torch.as_tensor(rewards[agent]).float(),
+                (~ended).float(),
+            )
+            for agent, model in models.items()
+        }
 
 
 def compute_advantages(
@@ -201,13 +237,8 @@ def compute_advantages(
     return advantages
 
 
-def update(
-    model: ActorCritic, optimizer: torch.optim.Optimizer, batch: Batch, args: RlArgs, policy_weight: float = 1.0
-) -> None:
-    """Update both networks by PPO (Schulman et al., 2017) on a batch of decisions, in `args.epochs` passes.
-
-    With the weight 0 of the policy's loss, only the value function is updated.
-    """
+def update(model: ActorCritic, optimizer: torch.optim.Optimizer, batch: Batch, args: RlArgs) -> None:
+    """Update both networks by PPO (Schulman et al., 2017) on a batch of decisions, in `args.epochs` passes."""
     count = batch.advantages.numel()
     rows = Batch(*(part.reshape(count, *part.shape[2:]) for part in batch))
     for _ in range(args.epochs):
@@ -219,46 +250,67 @@ def update(
             gain = (part.advantages - part.advantages.mean()) / (part.advantages.std() + 1e-8)
             value_loss = (model.compute_value(part.features) - part.targets).square().mean()
             optimizer.zero_grad()
-            (0.5 * value_loss - policy_weight * torch.min(ratio * gain, clipped * gain).mean()).backward()
+            (0.5 * value_loss - torch.min(ratio * gain, clipped * gain).mean()).backward()
             nn.utils.clip_grad_norm_(model.parameters(), 0.5)
             optimizer.step()
 
 
-def train(args: Args, initial: DenseNetwork | None = None) -> ActorCritic:
-    """Train a receiver until the limit of decisions or of time is reached, and return its networks.
+def train(
+    args: RlArgs,
+    agents: tuple[str, ...],
+    workers: int,
+    sees_both: bool = False,
+    gripper_std: float | None = None,
+    initial: DenseNetwork | None = None,
+    device: str = CPU,
+    minutes: float = math.inf,
+    **options: Any,
+) -> dict[str, ActorCritic]:
+    """Train agents until the limit of decisions or of time is reached, and return the networks of each agent.
 
-    `initial` is the network with which the policy starts; None: a new one.
+    Args:
+        args: Arguments of the training.
+        agents: Agents that learn.
+        workers: Number of processes that simulate the environments.
+        sees_both: Whether the value function of an agent observes the features of both.
+        gripper_std: Initial standard deviation of the last output; default: that of the others.
+        initial: Network with which the policy starts; None: a new one.
+        device: Device of environments and networks.
+        minutes: Largest wall-clock time (min).
+        options: Arguments of `handover_marl.vector_env`.
     """
-    started, learning_s = time.monotonic(), 0.0
+    started, decisions = time.monotonic(), 0
     torch.manual_seed(args.seed)
     torch.set_num_threads(1)  # The networks are small, and the other cores simulate.
-    with ThreadPoolExecutor(args.workers) as pool:
-        collectors = list(pool.map(lambda number: Collector(number, args), range(args.workers)))
-        envs = collectors[0].envs
-        n_inputs, n_outputs = flatdim(envs.single_observation_space), envs.single_action_space.shape[0]
-        # Random closing succeeds now and then, so the gripper's output is explored more than the motion.
-        stds = [args.initial_std] * (n_outputs - 1) + [args.gripper_initial_std]
-        initial = initial and initial.copy_to(make_tensor_factory(args.device))
-        model = ActorCritic(n_inputs, stds, args.width, initial).to(args.device)
-        optimizer = torch.optim.Adam(model.parameters(), args.learning_rate)
-        decisions, first_step = 0, time.monotonic()
-        while decisions < args.decisions and time.monotonic() - started < 60.0 * args.minutes:
-            rollouts = list(pool.map(lambda collector: collector.collect(model), collectors))
-            batch = Batch(*(torch.cat(parts, dim=1) for parts in zip(*(each.batch for each in rollouts), strict=True)))
-            collected, decisions = time.monotonic(), decisions + batch.advantages.numel()
-            update(model, optimizer, batch, args, float(decisions > args.critic_decisions))
+    options |= {"autoreset": "same_step", **args.env_options}
+
+    def make_collector(number: int) -> Collector:
+        agent = agents[0] if len(agents) == 1 else None
+        envs = handover_marl.vector_env(args.num_envs // workers, agent, **options)
+        return Collector(number, args, agents, envs, sees_both, device)
+
+    with ThreadPoolExecutor(workers) as pool:
+        collectors = list(pool.map(make_collector, range(workers)))
+        models = {agent: collectors[0].make_model(agent, gripper_std, initial) for agent in agents}
+        optimizers = {agent: torch.optim.Adam(own.parameters(), args.learning_rate) for agent, own in models.items()}
+        first_step = time.monotonic()
+        while decisions < args.decisions and time.monotonic() - started < 60.0 * minutes:
+            found = list(pool.map(lambda collector: collector.collect(models), collectors))
+            decisions += args.batch_size
+            for agent, model in models.items():
+                parts = zip(*(batches[agent] for batches in found), strict=True)
+                batch = Batch(*(torch.cat(part, dim=1) for part in parts))
+                update(model, optimizers[agent], batch, args)
+            outcomes = [outcome for collector in collectors for outcome in collector.outcomes]
             now = time.monotonic()
-            learning_s += now - collected
-            outcomes = [outcome for rollout in rollouts for outcome in rollout.outcomes]
             print(
-                f"{decisions} decisions, {now - started:.1f} s, {decisions / (now - first_step):.0f} decisions/s "
-                f"(learning {learning_s:.1f} s): success of {len(outcomes)} training episodes "
-                f"{sum(outcomes) / max(1, len(outcomes)):.1%}",
+                f"{decisions} decisions, {now - started:.1f} s, {decisions / (now - first_step):.0f} decisions/s: "
+                f"success of {len(outcomes)} training episodes {sum(outcomes) / max(1, len(outcomes)):.1%}",
                 flush=True,
             )
     for collector in collectors:
         collector.envs.close()
-    return model.cpu()
+    return {agent: model.cpu() for agent, model in models.items()}
 
 
 def main(args: Args) -> Path:
@@ -272,17 +324,33 @@ def main(args: Args) -> Path:
     if args.initial is not None:
         spec, initial, _ = read_policy(args.initial, "receiver")
         args = replace(args, features=spec.features, actions=spec.actions, control_period=spec.control_period)
-    model = train(args, initial)
+    where = {"processes": 1} if args.backend == THREADS else {"backend": args.backend, "device": args.device}
+    models = train(
+        args,
+        ("receiver",),
+        args.workers,
+        # Random closing succeeds now and then, so the gripper's output is explored more than the motion.
+        gripper_std=args.gripper_initial_std,
+        initial=initial and initial.copy_to(make_tensor_factory(args.device)),
+        device=args.device,
+        minutes=args.minutes,
+        partner=args.giver,
+        features=args.features,
+        action_scheme=args.actions,
+        rewards=set_discount(args.rewards, args.discount),
+        **where,
+    )
     spec = PolicySpec(
         "receiver", args.features, args.actions, args.control_period, describe_origin("train_receiver_ppo", args)
     )
-    network = dense_network_from_module(model.actor, "tanh")
+    network = dense_network_from_layers(models["receiver"].actor, "tanh")
     if initial is not None:
         network = replace(network, normalization=initial.normalization)
     write_policy(args.out, spec, network)
     print(args.out)
-    label = f"{args.setup} val with the giver {args.giver}"
-    print_validation(args, args.val_scenes, args.val_physics, args.giver, f"learned:{args.out}", label)
+    if args.val_scenes:
+        label = f"{args.setup} val with the giver {args.giver}"
+        validate(args, args.val_scenes, args.giver, f"learned:{args.out}", label, physics=args.val_physics)
     return args.out
 
 

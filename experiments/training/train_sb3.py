@@ -17,9 +17,9 @@ import math
 import sys
 import time
 import zipfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import torch
 from stable_baselines3 import PPO
@@ -27,15 +27,9 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger, make_output_format
 from stable_baselines3.common.vec_env import VecMonitor
 
-from handover_marl.datasets.splits import select_scenes_evenly
-from handover_marl.envs.agents import AGENTS
-from handover_marl.envs.config import EnvConfig
 from handover_marl.envs.custom_rewards import set_discount
 from handover_marl.envs.vector.vector_env import vector_env
 from handover_marl.envs.wrappers.wrapper import RETURN_PREFIX, EpisodeReturns
-from handover_marl.errors import OptionError
-from handover_marl.evaluation.benchmark import evaluate_pair
-from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig
 from handover_marl.execution.options import count_available_cores
 from handover_marl.learning.adapters.sb3_models import dense_network_from_sb3
 from handover_marl.learning.custom_encodings import is_reference
@@ -47,15 +41,12 @@ from handover_marl.learning.training.run_folder import (
     describe_origin,
     open_run_folder,
     spawn_seeds,
-    summarize_evaluation,
+    validate,
 )
 from handover_marl.learning.training.scene_arguments import RlArgs, run_script
 from handover_marl.policies.reference import parse_policy
-from handover_marl.simulation.engines import MUJOCO
 
 _CHECKPOINT = "checkpoint.zip"
-
-
 # Features, action scheme and partner by default.
 _DEFAULTS = {"receiver": ("close", "grasp_servo", "cooperative"), "giver": ("giver", "offer", "yang2021")}
 
@@ -75,10 +66,10 @@ class Args(RlArgs):
         rewards: Reward: sparse, shaped, or module:name of a user-defined reward.
         gripper_initial_std: Initial standard deviation of a receiver's output that closes the gripper: random closing
             succeeds now and then, so it is explored more than the motion.
-        num_envs: Number of environments simulated in parallel; 0 means 64 with mujoco, else 8.
+        num_envs: Number of environments simulated in parallel; fewer, such as 8, are better with physics other than
+            mujoco.
         minutes: Largest wall-clock time (min).
         eval_interval: Number of decisions between evaluations.
-        eval_start: Whether to evaluate before the training, too.
         resume: Whether to continue the run in the folder `out`.
     """
 
@@ -89,43 +80,28 @@ class Args(RlArgs):
     actions: str = ""
     rewards: str = "sparse"
     gripper_initial_std: float = 0.45
-    num_envs: int = 0
+    num_envs: int = 64
     decisions: int = 500_000
     minutes: float = 24.0
     learning_rate: float = 7e-4
     discount: float = 0.97
     initial_std: float = 0.15
     eval_interval: int = 24_576
-    eval_start: bool = True
     resume: bool = False
-
-    def __post_init__(self) -> None:
-        for name, value in zip(("features", "actions", "partner"), _DEFAULTS[self.agent], strict=True):
-            object.__setattr__(self, name, getattr(self, name) or value)
-        # `module:name` may be in the working folder, which Python does not search when it runs a script.
-        folder = str(Path.cwd())
-        if folder not in sys.path and any(is_reference(value) for value in vars(self).values()):
-            sys.path.append(folder)
-        if self.batch_size < self.resolved_num_envs:
-            raise OptionError(
-                f"batch_size must be at least the number of environments, {self.resolved_num_envs}, got "
-                f"{self.batch_size}; choose fewer with num_envs"
-            )
-
-    @property
-    def resolved_num_envs(self) -> int:
-        """Number of environments simulated in parallel, where `num_envs` may be 0."""
-        return self.num_envs or (64 if self.physics == MUJOCO else 8)
-
-    def make_env_config(self) -> EnvConfig:
-        """Create the configuration of the environment on the training scenes."""
-        return EnvConfig(**self.env_options, rewards=set_discount(self.rewards, self.discount))
 
 
 def main(args: Args) -> Path:
     """Train the agent, from a checkpoint if `args.resume` is set and there is one; return the path of its file."""
     torch.set_num_threads(1)
-    args = args.resolve_setup()
+    features, actions, partner = _DEFAULTS[args.agent]
+    args = replace(
+        args.resolve_setup(),
+        features=args.features or features,
+        actions=args.actions or actions,
+        partner=args.partner or partner,
+    )
+    # `module:name` may be in the working folder, which Python does not search when it runs a script.
+    sys.path.append(str(Path.cwd()))
     parse_policy("giver" if args.agent == "receiver" else "receiver", args.partner)
     # Both check arguments, so that the folder is made only for a run that can start.
     model, envs = _make_ppo(args)
@@ -155,15 +131,16 @@ def main(args: Args) -> Path:
 def _make_ppo(args: Args) -> tuple[PPO, VecMonitor]:
     """Make an untrained model and its environments, which are seeded and run in one process per core."""
     envs = vector_env(
-        args.resolved_num_envs,
+        args.num_envs,
         args.agent,
         args.partner,
         features=args.features,
         action_scheme=args.actions,
         wrappers=[EpisodeReturns],
         autoreset="same_step",
-        processes=min(args.resolved_num_envs, count_available_cores()),
-        config=args.make_env_config(),
+        processes=min(args.num_envs, count_available_cores()),
+        rewards=set_discount(args.rewards, args.discount),
+        **args.env_options,
     )
     monitored = VecMonitor(BatchVecEnv(envs))
     monitored.seed(args.seed)
@@ -171,7 +148,7 @@ def _make_ppo(args: Args) -> tuple[PPO, VecMonitor]:
         "MlpPolicy",
         monitored,
         learning_rate=args.learning_rate,
-        n_steps=args.batch_size // args.resolved_num_envs,
+        n_steps=args.batch_size // args.num_envs,
         batch_size=args.minibatch_size,
         n_epochs=args.epochs,
         gamma=args.discount,
@@ -196,23 +173,12 @@ class EvaluationCallback(BaseCallback):
 
     def __init__(self, args: Args) -> None:
         super().__init__()
-        (other,) = set(AGENTS) - {args.agent}
-        self._args, self._folder, self._next = args, Path(args.out), 0
-        self._spec = PolicySpec(
-            args.agent, args.features, args.actions, args.control_period, describe_origin("train_sb3", args)
-        )
-        val = select_scenes_evenly(args.open_dataset().list_scenes(args.setup, "val"), args.val_scenes)
-        where = (args.setup, "val", val, args.dataset, args.data_dir, args.physics)
-        policies: dict[str, Any] = {args.agent: f"learned:{self._folder / POLICY}", other: args.partner}
-        self._config = EvaluationConfig(*where, **policies)
-        # User-defined features and schemes were named by the caller, so they may be imported.
-        trust = is_reference(args.features) or is_reference(args.actions)
-        self._execution, self._started = ExecutionConfig(progress=False, trust=trust), time.monotonic()
+        self._args, self._folder, self._next, self._started = args, Path(args.out), 0, time.monotonic()
+        origin = describe_origin("train_sb3", args)
+        self._spec = PolicySpec(args.agent, args.features, args.actions, args.control_period, origin)
 
     def _on_training_start(self) -> None:
         self._next = self.num_timesteps + self._args.eval_interval
-        if self._args.eval_start and not self.num_timesteps:
-            self.evaluate()
 
     def _on_step(self) -> bool:
         for info, is_last in zip(self.locals["infos"], self.locals["dones"], strict=True):
@@ -228,12 +194,16 @@ class EvaluationCallback(BaseCallback):
 
     def evaluate(self) -> None:
         """Write the policy file, evaluate it on validation scenes, log and print the outcomes, write a checkpoint."""
-        write_policy(self._folder / POLICY, self._spec, dense_network_from_sb3(self.model))
-        report = evaluate_pair(self._config, execution=self._execution)
+        args, policy = self._args, self._folder / POLICY
+        write_policy(policy, self._spec, dense_network_from_sb3(self.model))
+        # User-defined features and schemes were named by the caller, so they may be imported.
+        trust = is_reference(args.features) or is_reference(args.actions)
+        learned, label = f"learned:{policy}", f"{self.num_timesteps} decisions"
+        giver, receiver = (args.partner, learned) if args.agent == "receiver" else (learned, args.partner)
+        report = validate(args, args.val_scenes, giver, receiver, label, physics=args.physics, trust=trust)
         for name, rate in report.rates.items():
             self.logger.record(f"evaluation/{name}", rate.mean)
         self.logger.dump(self.num_timesteps)
-        print(summarize_evaluation(report, f"{self.num_timesteps} decisions"), flush=True)
         part = self._folder / f"part_{_CHECKPOINT}"
         self.model.save(part)
         part.replace(self._folder / _CHECKPOINT)

@@ -25,7 +25,6 @@ from handover_marl.learning.imitation.vision.segmentation import (
     SegmentationRenderer,
     SegmentationViews,
 )
-from handover_marl.learning.imitation.vision.views import GraspViewConfig
 from handover_marl.learning.networks.segmentation_network import SegmentationNetwork
 from handover_marl.learning.networks.weights import write_network_weights
 from handover_marl.learning.training.run_folder import describe_origin, open_run_folder
@@ -68,10 +67,9 @@ class Args(SetupArgs):
 
 def load_batches(args: Args, scenes: Sequence[int]) -> SegmentationBatches:
     """Return batches of the images of scenes; render images that are not in the folder of the run."""
-    config = GraspViewConfig(args.dataset, args.data_dir, args.robot, args.views, args.seed)
 
     def make_renderer() -> Callable[[int], SegmentationViews]:
-        return SegmentationRenderer(config).render_scene
+        return SegmentationRenderer(args.open_dataset(args.robot), args.views, args.seed).render_scene
 
     folder = args.out / "views"
     views = generate_samples(SegmentationViews, folder, scenes, make_renderer, "rendering", args.workers)

@@ -12,7 +12,7 @@ TensorBoard logs, the views, and a checkpoint, from which `--resume` continues.
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,9 +20,9 @@ import torch
 
 from handover_marl.datasets import open_dataset
 from handover_marl.learning.imitation.run import ImitationArgs, ImitationRun
-from handover_marl.learning.imitation.samples import join_samples
+from handover_marl.learning.imitation.samples import generate_samples, join_samples
 from handover_marl.learning.imitation.vision.training import GraspLearner, ViewBatches
-from handover_marl.learning.imitation.vision.views import GraspViewConfig, GraspViews, generate_views
+from handover_marl.learning.imitation.vision.views import GraspViews, ViewRenderer
 from handover_marl.learning.networks.grasp_network import GraspNetwork
 from handover_marl.learning.training.scene_arguments import run_script, select_held_out_scenes, select_training_scenes
 
@@ -35,7 +35,6 @@ class Args(ImitationArgs):
     """Arguments of the training of the grasp network of `vision`.
 
     Attributes:
-        setup: Official setup, s0 to s3, or a setup of other data; default: the first of the dataset.
         robot: Robot model: panda or panda_camera.
         views: Number of rendered camera views per scene.
         stride: Use every n-th scene of the training split.
@@ -45,7 +44,6 @@ class Args(ImitationArgs):
     """
 
     out: str = "runs/vision"
-    setup: str | None = None
     robot: str = "panda_camera"
     views: int = 80
     stride: int = 1
@@ -59,22 +57,24 @@ def load_views(args: Args, run: ImitationRun, dataset: str, scenes: Sequence[int
     if dataset != args.dataset:
         folder, data_dir = folder / re.sub(r"\W+", "-", dataset), None
     seed = args.seed if args.views_seed is None else args.views_seed
-    config = GraspViewConfig(dataset, data_dir, args.robot, args.views, seed)
-    return generate_views(config, scenes, folder, args.workers)
+
+    def make_renderer() -> Callable[[int], GraspViews]:
+        return ViewRenderer(open_dataset(dataset, data_dir, args.robot), args.views, seed).render_scene
+
+    return join_samples(generate_samples(GraspViews, folder, scenes, make_renderer, "rendering views", args.workers))
 
 
 def main(args: Args) -> Path:
     """Train; return the path of the weights of the best network."""
-    data = args.open_dataset(args.robot)
-    setup = data.resolve_setup(args.setup)
-    scenes = data.list_scenes(setup, "train")[:: args.stride]
+    args = args.resolve_setup()
+    scenes = args.open_dataset(args.robot).list_scenes(args.setup, "train")[:: args.stride]
     training = {args.dataset: select_training_scenes(scenes)}
     for name in args.extra_datasets:
         extra = open_dataset(name, robot=args.robot)
         training[name] = extra.list_scenes(extra.resolve_setup(None), "train")[:: args.stride]
     torch.manual_seed(args.seed)
     learner = GraspLearner(GraspNetwork(), args.updates, args.torch_device)
-    run = ImitationRun(args, "vision", setup, args.robot, learner, ("updates",))
+    run = ImitationRun(args, "vision", args.robot, learner, ("updates",))
     others = load_views(args, run, args.dataset, select_held_out_scenes(scenes))
     held_out = GraspViews._make(part[:: -(-len(part) // N_HELD_OUT)] for part in others)
 

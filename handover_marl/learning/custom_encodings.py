@@ -149,10 +149,7 @@ class CustomScheme(ArrayScheme):
     Args:
         agent: "giver" or "receiver".
         choice: Subclass of `ActionScheme`, or function from outputs and observation to an action.
-        context: Robot, task and known grasps of the objects.
-        count: Number n of episodes.
-        arrays: Factory of the actions; the schemes themselves get and return NumPy arrays.
-        name: Name of the scheme; default: the name of the class or function.
+        context, count, arrays, name: As for `CustomFeatures`.
 
     Raises:
         OptionError: The size is missing or malformed, the scheme is for the other agent, or the class

@@ -107,15 +107,10 @@ def make_array_features(
     count: int,
     arrays: ArrayFactory = NUMPY_ARRAYS,
 ) -> ArrayFeatures:
-    """Make an agent's features for n episodes: built-in features work on arrays, others episode by episode.
+    """Make an agent's features for n = `count` episodes; the first three arguments are those of `make_features`.
 
-    Args:
-        agent: "giver" or "receiver".
-        choice: Features, see `make_features`.
-        context: Robot, task and known grasps of the objects.
-        selector: Selector of the grasps that some features contain.
-        count: Number n of episodes.
-        arrays: Factory of NumPy arrays, or of PyTorch tensors on a device.
+    Built-in features work on arrays that `arrays` creates, others episode by episode. Some contain the grasps that
+    `selector` selects.
     """
     list_features(agent)
     if isinstance(choice, str) and not is_reference(choice):

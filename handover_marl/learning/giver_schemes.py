@@ -112,19 +112,13 @@ class HandoverPoseScheme(ArrayScheme):
         return make_giver_actions(len(rows), displacement=displacement, rotation=rotation, arrays=self._arrays)
 
     def _choose_poses(self, rows: AnyArray, observation: Observation) -> None:
-        outputs = self._outputs[rows]
-        _, axes = compute_handover_frames(observation)
+        outputs, (center, axes) = self._outputs[rows], compute_handover_frames(observation)
         turn = rotate_to_world(axes, outputs[:, 3:6]) * self.max_output_rotation
-        center, _, rotated = self._rotate_about_wrists(turn, observation)
         # Actions rotate about the wrist, so the translation compensates the object's motion.
+        wrist = widen(observation["replay_wrist_poses"][:, -1, :3])
+        rotated = wrist + rotate_points(quaternions_from_rotation_vectors(turn), center - wrist)
         self._shift[rows] = center + rotate_to_world(axes, outputs[:, :3]) * self.max_output_translation - rotated
         self._turn[rows], self._chosen[rows] = turn, True
-
-    def _rotate_about_wrists(self, turns: AnyArray, observation: Observation) -> tuple[AnyArray, AnyArray, AnyArray]:
-        """Return origins and axes of the handover frames, and the origins rotated by `turns` about the wrists."""
-        center, axes = compute_handover_frames(observation)
-        wrist = widen(observation["replay_wrist_poses"][:, -1, :3])
-        return center, axes, wrist + rotate_points(quaternions_from_rotation_vectors(turns), center - wrist)
 
     def _withdraw(self, rows: AnyArray, observation: Observation, begins: AnyArray, shift: AnyArray) -> None:
         """Store the final displacements of the hands that begin to withdraw, where `begins` (r,) is True.

@@ -6,17 +6,160 @@ Poses are poses of the Panda's hand link: position (m) and quaternion xyzw.
 import functools
 
 import numpy as np
+import numpy.typing as npt
 
 from handover_marl.config import ARM_DOF
 from handover_marl.episode.observations import Observation
+from handover_marl.geometry.arm import ArmKinematics, solve_damped
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, get_namespace, is_tensor, widen
+from handover_marl.geometry.kinematic_tree import read_tree
+from handover_marl.geometry.panda import HALF_TURN, LOWER_LIMITS, UPPER_LIMITS
 from handover_marl.geometry.poses import compose, inverse_transform_points, invert_pose
-from handover_marl.learning.grasp_costs import MAX_CLEARANCE, GraspCosts, load_validated_grasps
+from handover_marl.geometry.rotations import (
+    conjugate_quaternions,
+    multiply_quaternions,
+    normalize_quaternions,
+    quaternions_from_matrices,
+    rotation_vectors_from_quaternions,
+)
+from handover_marl.geometry.vectors import compute_lengths
+from handover_marl.planning.robot_clearance import CLOSING_BOX, GRIPPER_BOX_CENTERS, GRIPPER_BOX_HALF_SIZES
 from handover_marl.policies.policy import PolicyContext
 from handover_marl.receivers.grasp_library import GraspTable
+from handover_marl.receivers.reactive.config import ReactiveConfig
+from handover_marl.receivers.reactive.grasp_contact import compute_hold_costs, load_graspable_object
 
+Array = npt.NDArray[np.float64]
+
+#: Largest clearance that is computed: larger ones are set to this (m).
+MAX_CLEARANCE = 0.2
+
+# Radius of a finger around its joints (m), and length of the straight approach that must be clear (m).
+_FINGER_RADIUS, _APPROACH = 0.012, 0.08
+# Boxes of the gripper in the hand link's frame: the hand body on its approach, and the volume between open fingers.
+_SHIFT = np.array([0.0, 0.0, 0.5 * _APPROACH])
+_BOXES = ((GRIPPER_BOX_CENTERS[0] - _SHIFT, GRIPPER_BOX_HALF_SIZES[0] + _SHIFT), CLOSING_BOX)
+
+# Iterations of inverse kinematics, its damping, and the largest translation (m) and rotation (rad) of one.
+_N_ITERATIONS, _DAMPING, _MAX_TRANSLATION, _MAX_ROTATION = 10, 0.05, 0.3, 1.2
+# Amount by which joint limits are narrowed (rad), weight of a rotation that remains (m/rad), and largest distance of a
+# reachable pose that counts: larger ones cost the same (m).
+_LIMIT_PADDING, _ERROR_ROTATION_WEIGHT, MAX_REACH_DISTANCE = 0.03, 0.1, 0.3
 # Numbers of grasps per episode whose clearance, and then whose reach, is computed: those of lowest cost so far.
 _N_CLEARANCES, _N_REACHES = 96, 12
+
+
+class GraspCosts:
+    """Costs of the grasps of objects in r episodes, and the distances on which they depend.
+
+    Args:
+        context: Context of a policy, with the robot.
+        arrays: Factory of NumPy arrays, or of PyTorch tensors on a device.
+
+    Attributes:
+        rotation_weight: Weight of the gripper's rotation in the cost of its motion (m/rad).
+        hold_weight: Weight of the cost of a grasp that may not hold, which is in seconds (m/s).
+        desired_clearance: Desired distance of the person's fingers from the gripper on its approach (m).
+        clearance_weight: Weight of the amount by which the clearance is below the desired one.
+        min_clearance: Clearance below which a grasp has the additional cost `contact_cost` (m).
+        reach_weight: Weight of the distance of the nearest pose that the arm can reach.
+        reach_tolerance: Distance above which a grasp has the additional cost `unreachable_cost` (m).
+    """
+
+    rotation_weight, hold_weight = 0.25, 0.1
+    desired_clearance, clearance_weight = 0.03, 10.0
+    min_clearance, contact_cost = 0.003, 5.0
+    reach_weight, reach_tolerance, unreachable_cost = 3.0, 0.01, 0.3
+
+    def __init__(self, context: PolicyContext, arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
+        self._xp = arrays.xp
+        base = np.array([*context.panda.base_position, *context.panda.base_orientation])
+        self._base_from_world = arrays.asarray(invert_pose(base))
+        self._arm = ArmKinematics(read_tree(context.panda_urdf))
+        self._boxes = [(arrays.asarray(center), arrays.asarray(half)) for center, half in _BOXES]
+        self._low = arrays.asarray(np.array(LOWER_LIMITS[:ARM_DOF]) + _LIMIT_PADDING)
+        self._high = arrays.asarray(np.array(UPPER_LIMITS[:ARM_DOF]) - _LIMIT_PADDING)
+
+    def compute_motion_costs(self, grasps: AnyArray, gripper: AnyArray) -> AnyArray:
+        """Return the costs (r, g) in m of moving grippers (r, 7) to grasps (r, g, 7), both in the objects' frames."""
+        xp = self._xp
+        x, y, z, w = (grasps[..., 3 + axis] * gripper[:, None, 3 + axis] for axis in range(4))
+        angles = 2.0 * xp.acos(xp.abs(x + y + z + w).clip(None, 1.0))
+        x, y, z = (grasps[..., axis] - gripper[:, None, axis] for axis in range(3))
+        return xp.sqrt(x * x + y * y + z * z) + self.rotation_weight * angles
+
+    def compute_clearance_costs(self, clearances: AnyArray) -> AnyArray:
+        """Return the costs (...) in m of clearances (...) in m, see `compute_clearances`."""
+        costs = self.clearance_weight * (self.desired_clearance - clearances).clip(0.0)
+        return costs + self.contact_cost * widen(clearances < self.min_clearance)
+
+    def compute_reach_costs(self, distances: AnyArray) -> AnyArray:
+        """Return the costs (...) in m of distances (...) in m from reachable poses, see `compute_reach_distances`."""
+        costs = self.reach_weight * distances.clip(None, MAX_REACH_DISTANCE)
+        return costs + self.unreachable_cost * widen(distances > self.reach_tolerance)
+
+    def compute_clearances(self, poses: AnyArray, joints: AnyArray) -> AnyArray:
+        """Return the distances (r, k) in m of persons' fingers from the gripper on its approach to k grasps.
+
+        Grasps (r, k, 7) and the joints (r, 16, 3) of the hands are in the objects' frames.
+        """
+        xp = self._xp
+        points = inverse_transform_points(poses[:, :, None], joints[:, None])
+        distances = [xp.min(_compute_box_distances(points, center, half), axis=2) for center, half in self._boxes]
+        return (xp.minimum(*distances) - _FINGER_RADIUS).clip(None, MAX_CLEARANCE)
+
+    def compute_reach_distances(self, poses: AnyArray, joints: AnyArray) -> AnyArray:
+        """Return the distances (r, k) in m of world poses (r, k, 7) from the nearest poses that the arms reach.
+
+        Inverse kinematics starts at the arms' joints (r, 9), so that other configurations of the elbow are not found. A
+        rotation that remains counts as a distance.
+        """
+        xp, (count, number) = self._xp, poses.shape[:2]
+        target = compose(self._base_from_world, poses.reshape(count * number, 7))
+        angles = xp.repeat(joints[:, :ARM_DOF], number, axis=0)
+        for iteration in range(_N_ITERATIONS + 1):
+            jacobian, position, axes = self._arm.compute_hand_jacobians(angles)
+            inverse = conjugate_quaternions(quaternions_from_matrices(axes))
+            rotation = rotation_vectors_from_quaternions(
+                multiply_quaternions(inverse, normalize_quaternions(target[:, 3:]))
+            )
+            translation = target[:, :3] - position
+            if iteration == _N_ITERATIONS:
+                break
+            rotation = xp.sum(axes * _shorten(rotation, _MAX_ROTATION)[:, None], axis=2)
+            twist = xp.concat([_shorten(translation, _MAX_TRANSLATION), rotation], axis=1)
+            angles = (angles + solve_damped(jacobian, twist, _DAMPING)).clip(self._low, self._high)
+        errors = compute_lengths(translation) + _ERROR_ROTATION_WEIGHT * compute_lengths(rotation)
+        return errors.reshape(count, number)
+
+
+@functools.lru_cache(maxsize=1024)
+def load_validated_grasps(context: PolicyContext, object_class: int) -> tuple[Array, Array] | None:
+    """Return poses (n, 7) of a class's grasps and half turns in its frame, and costs (n,) in s of those that may slip.
+
+    The grasps are validated in simulation, which takes minutes the first time for an object of the user.
+    """
+    config = ReactiveConfig()
+    graspable = load_graspable_object(context, context.object_names[object_class], config)
+    if not len(graspable.grasps.poses):
+        return None
+    costs = compute_hold_costs(graspable.grasps, graspable.pad_margins, config.selection)
+    poses = graspable.grasps.poses
+    return np.concatenate([poses, compose(poses, np.array(HALF_TURN))]), np.concatenate([costs, costs])
+
+
+def _compute_box_distances(points: AnyArray, center: AnyArray, half_size: AnyArray) -> AnyArray:
+    """Return the signed distances (...) in m of points (..., 3) from a box, negative inside."""
+    xp = get_namespace(points)
+    x, y, z = (xp.abs(points[..., axis] - center[axis]) - half_size[axis] for axis in range(3))
+    inside = xp.maximum(xp.maximum(x, y), z).clip(None, 0.0)
+    x, y, z = (value.clip(0.0) for value in (x, y, z))
+    return xp.sqrt(x * x + y * y + z * z) + inside
+
+
+def _shorten(vectors: AnyArray, length: float) -> AnyArray:
+    """Return vectors (m, 3), shortened to a length where they are longer."""
+    return vectors * (length / compute_lengths(vectors).clip(length))[:, None]
 
 
 class LowestCostGraspSelector:

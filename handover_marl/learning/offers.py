@@ -17,7 +17,7 @@ from handover_marl.geometry.poses import compose, inverse_transform_points, inve
 from handover_marl.geometry.rotations import multiply_quaternions, quaternions_from_rotation_vectors
 from handover_marl.learning.array_features import compute_handover_frames, rotate_to_world
 from handover_marl.learning.giver_schemes import HandoverPoseScheme
-from handover_marl.learning.grasp_costs import (
+from handover_marl.learning.grasp_selector import (
     MAX_REACH_DISTANCE,
     GraspCosts,
     load_validated_grasps,

@@ -68,15 +68,10 @@ def make_array_scheme(
     count: int,
     arrays: ArrayFactory = NUMPY_ARRAYS,
 ) -> ArrayScheme:
-    """Make an agent's action scheme for n episodes: built-in schemes work on arrays, others episode by episode.
+    """Make an agent's action scheme for n = `count` episodes; the first three arguments are those of `make_scheme`.
 
-    Args:
-        agent: "giver" or "receiver".
-        choice: Action scheme, see `make_scheme`.
-        context: Robot, task and known grasps of the objects.
-        selector: Selector of the grasps that some schemes approach.
-        count: Number n of episodes.
-        arrays: Factory of NumPy arrays, or of PyTorch tensors on a device.
+    Built-in schemes work on arrays that `arrays` creates, others episode by episode. Some approach the grasps that
+    `selector` selects.
     """
     if isinstance(choice, str) and not is_reference(choice):
         count_outputs(agent, choice)

@@ -5,13 +5,12 @@ the keys of `Partner`. `{folder}` in a policy stands for the folder of the file,
 """
 
 import hashlib
-import itertools
 import json
 import os
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, astuple, dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -36,7 +35,7 @@ TRAIN, TEST, ALL = "train", "test", "all"
 
 _SUFFIX = ".json"
 _FOLDER = "{folder}"
-_MAX_BYTES, _MAX_TEXT = 1_000_000, 1000
+_MAX_BYTES = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -135,12 +134,6 @@ def load_population(population: str | os.PathLike[str] = DEFAULT_POPULATION, tru
     digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode())
     for agent, members in (("giver", found.givers), ("receiver", found.receivers)):
         _check_partners(path, members)
-        for text in (found.name, found.version, found.description, *itertools.chain(*map(astuple, members))):
-            if not isinstance(text, str) or not text.strip() or not text.isprintable() or len(text) > _MAX_TEXT:
-                raise DataFormatError(
-                    f"{path}: values must be text without control characters, at most {_MAX_TEXT} characters, got "
-                    f"{shorten_text(ascii(text))}"
-                )
         for partner in members:
             check_stored_reference(path, agent, partner.policy, trust, list_available(agent))
             for file in _read_policy_files(found, agent, partner):
@@ -177,14 +170,11 @@ def _check_partners(path: Path, partners: Sequence[Partner]) -> None:
     if not splits <= {TRAIN, TEST}:
         raise DataFormatError(f"{path}: split must be {TRAIN} or {TEST}, got {sorted(splits)}")
     families = [family for family, _ in {(partner.family, partner.split) for partner in partners}]
-    for what, values in (
-        ("family in one split", families),
-        ("name", [partner.name for partner in partners]),
-        ("policy", [partner.policy for partner in partners]),
-    ):
-        value, count = max(Counter(values).items(), key=lambda item: item[1], default=("", 0))
-        if count > 1:
-            raise DataFormatError(f"{path}: every {what} must be unique, got {value!r} twice")
+    names, policies = ([getattr(partner, key) for partner in partners] for key in ("name", "policy"))
+    for what, values in (("family in one split", families), ("name", names), ("policy", policies)):
+        for value, count in Counter(values).items():
+            if count > 1:
+                raise DataFormatError(f"{path}: every {what} must be unique, got {value!r} twice")
 
 
 def _read_policy_files(population: Population, agent: str, partner: Partner) -> Iterator[bytes]:

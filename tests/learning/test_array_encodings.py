@@ -16,8 +16,7 @@ from handover_marl.geometry.arrays import ArrayFactory, is_tensor, to_numpy
 from handover_marl.geometry.panda import HALF_TURN
 from handover_marl.geometry.poses import compose
 from handover_marl.learning.features import make_array_features, make_features
-from handover_marl.learning.grasp_costs import MAX_CLEARANCE
-from handover_marl.learning.grasp_selector import LowestCostGraspSelector
+from handover_marl.learning.grasp_selector import MAX_CLEARANCE, LowestCostGraspSelector
 from handover_marl.learning.schemes import make_array_scheme, make_scheme
 from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.planning.robot_clearance import Spheres, compute_grasp_clearances

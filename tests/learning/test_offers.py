@@ -13,7 +13,7 @@ from handover_marl.episode.metrics.fluency import CHEST, HALF_SHOULDER_WIDTH
 from handover_marl.episode.observations import Observation, add_episode_axis
 from handover_marl.geometry.panda import HALF_TURN
 from handover_marl.geometry.poses import compose, inverse_transform_points, invert_pose, transform_points
-from handover_marl.learning.grasp_costs import MAX_CLEARANCE, load_validated_grasps
+from handover_marl.learning.grasp_selector import MAX_CLEARANCE, load_validated_grasps
 from handover_marl.learning.offers import (
     N_OFFER_FEATURES,
     OfferFeatures,

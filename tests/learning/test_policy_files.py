@@ -25,7 +25,6 @@ from handover_marl.errors import ActionError, DataFormatError, HandoverError, Un
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, to_numpy
 from handover_marl.learning.adapters.function_policy import LearnedPolicy
 from handover_marl.learning.features import count_features
-from handover_marl.learning.network_policies import make_network_array_policy
 from handover_marl.learning.offers import OFFER_FEATURES
 from handover_marl.learning.policy_files import read_policy, write_policy
 from handover_marl.learning.policy_spec import ACTIVATIONS, DenseNetwork, InputNormalization, OutputBounds, PolicySpec
@@ -178,9 +177,8 @@ def test_a_network_of_tensors_has_the_same_outputs(activation: str) -> None:
 
 
 def make_network_batch(policy: LearnedPolicy) -> ArrayPolicyBatch:
-    network = make_network_array_policy(policy, COUNT, np.asarray)
-    assert network is not None
-    return ArrayPolicyBatch(network, COUNT, policy.scheme.agent)
+    assert policy.is_batchable
+    return ArrayPolicyBatch(policy.copy_for(COUNT, NUMPY_ARRAYS), COUNT, policy.scheme.agent)
 
 
 @pytest.mark.slow

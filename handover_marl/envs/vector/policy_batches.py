@@ -11,7 +11,7 @@ from handover_marl.datasets.dataset import Dataset
 from handover_marl.episode.spaces import check_giver_action, check_receiver_action, giver_action_space
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyIndices, AnyIntegers, ArrayFactory, to_numpy
 from handover_marl.givers.array_giver import ArrayGiver
-from handover_marl.learning.network_policies import make_network_array_policy
+from handover_marl.learning.adapters.function_policy import FunctionPolicy
 from handover_marl.policies.batch import (
     Actions,
     ArrayPolicyBatch,
@@ -85,9 +85,8 @@ def make_policy_batch(
         # A subclass of a policy may act in another way.
         if isinstance(first, ArrayGiver) and type(first).act is ArrayGiver.act:
             return ArrayPolicyBatch(first.copy_for(count, arrays), count, agent, arrays)
-        network = make_network_array_policy(first, count, check, arrays)
-        if network is not None:
-            return ArrayPolicyBatch(network, count, agent, arrays)
+        if isinstance(first, FunctionPolicy) and first.is_batchable:
+            return ArrayPolicyBatch(first.copy_for(count, arrays), count, agent, arrays)
         batch: PolicyBatch
         if type(first) is Yang2021Receiver:
             batch = ArrayPolicyBatch(first.copy_for(count), count, agent)

@@ -69,7 +69,8 @@ def as_receiver(
         UnsafeFileError: A file contains code, or names a module, and is not trusted.
     """
     parse_obs_mode(obs_mode)
-    return _adapt("receiver", policy, control_period, obs_mode, features, action_scheme, name, trust)
+    given = {"features": features, "actions": action_scheme, "control_period": control_period}
+    return _adapt("receiver", policy, given, obs_mode, name, trust)
 
 
 def as_giver(
@@ -86,23 +87,16 @@ def as_giver(
     By default the outputs are a giver's action (8,), see `handover_marl.givers.make_giver_action`. Arguments and
     errors are those of `as_receiver`.
     """
-    return _adapt("giver", policy, control_period, STATE, features, action_scheme, name, trust)
+    given = {"features": features, "actions": action_scheme, "control_period": control_period}
+    return _adapt("giver", policy, given, STATE, name, trust)
 
 
 def _adapt(
-    agent: str,
-    policy: Any,
-    control_period: float | None,
-    obs_mode: str,
-    features: FeaturesLike | None,
-    action_scheme: SchemeLike | None,
-    name: str | None,
-    trust: bool,
+    agent: str, policy: Any, given: dict[str, Any], obs_mode: str, name: str | None, trust: bool
 ) -> PolicyReference:
     check_boolean("trust", trust)
     if name is not None and not (isinstance(name, str) and name.strip()):
         raise OptionError(f"name must be text that is not empty, got {name!r}")
-    given = {"features": features, "actions": action_scheme, "control_period": control_period}
     stem, function, spec = _read_model(agent, policy, given, obs_mode == STATE, trust)
     spec = replace(spec, obs_mode=obs_mode)
     if spec.features in list_features(agent) and not has_state(obs_mode):

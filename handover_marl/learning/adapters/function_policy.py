@@ -8,17 +8,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from handover_marl.episode.observations import Observation
+from handover_marl.episode.loop import steps_from_hold_time
+from handover_marl.episode.observations import Observation, add_episode_axis
 from handover_marl.episode.spaces import check_vector
 from handover_marl.errors import OptionError
-from handover_marl.learning.features import AgentFeatures, make_features
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, ONLY_ROW, AnyArray, AnyIndices, ArrayFactory, to_numpy
+from handover_marl.learning.array_features import ArrayFeatures
+from handover_marl.learning.custom_encodings import CustomScheme
+from handover_marl.learning.features import list_features, make_array_features
+from handover_marl.learning.grasp_selector import LowestCostGraspSelector
 from handover_marl.learning.offers import OFFER_FEATURES
 from handover_marl.learning.policy_files import read_policy
 from handover_marl.learning.policy_spec import OBSERVATION, DenseNetwork, PolicySpec
-from handover_marl.learning.schemes import make_scheme
+from handover_marl.learning.schemes import make_array_scheme
 from handover_marl.policies.policy import Action, Policy, PolicyContext, milliseconds_from_wait
+
+_MEANING = "as its action scheme decodes"
 
 
 class FunctionPolicy(Policy):
@@ -52,16 +58,11 @@ class FunctionPolicy(Policy):
         digest: str = "",
         wait: float | None = None,
     ) -> None:
+        super().__init__(context)
         self.name = name  # type: ignore[misc]
         self.obs_mode, self._label, self._digest = spec.obs_mode, label, digest
-        self.function, self.spec, self.scheme = function, spec, make_scheme(spec.agent, spec.actions, context)
-        self._features: AgentFeatures | None = None
-        if not (isinstance(spec.features, str) and spec.features == OBSERVATION):
-            self._features = make_features(spec.agent, spec.features, context)
-        if wait is not None:
-            if not self.scheme.wait:
-                raise OptionError(f"{name}: action scheme {self.scheme.name!r} has no wait; remove wait={wait}")
-            self.scheme.wait = milliseconds_from_wait(wait) / 1000.0
+        self.function, self.spec, self._wait = function, spec, wait
+        self._allocate(1, NUMPY_ARRAYS)
         if isinstance(function, DenseNetwork):
             n_inputs = function.n_inputs if self._features is None else self._features.size
             if (function.n_inputs, function.n_outputs) != (n_inputs, self.scheme.size):
@@ -71,6 +72,21 @@ class FunctionPolicy(Policy):
                 )
         if isinstance(function, TorchFunction) and self._features is not None:
             self._check_module(function, self._features.size)
+
+    def _allocate(self, count: int, arrays: ArrayFactory) -> None:
+        """Create features and action scheme for `count` episodes, in arrays that `arrays` creates."""
+        agent, features, actions = self.spec.agent, self.spec.features, self.spec.actions
+        self._arrays, selector = arrays, LowestCostGraspSelector(self.context, count, arrays)
+        self.scheme = make_array_scheme(agent, actions, self.context, selector, count, arrays)
+        self._features: ArrayFeatures | None = None
+        if not (isinstance(features, str) and features == OBSERVATION):
+            self._features = make_array_features(agent, features, self.context, selector, count, arrays)
+        if self._wait is not None:
+            if not self.scheme.wait:
+                raise OptionError(
+                    f"{self.name}: action scheme {self.scheme.name!r} has no wait; remove wait={self._wait}"
+                )
+            self.scheme.wait = milliseconds_from_wait(self._wait) / 1000.0
 
     @property
     def label(self) -> str:
@@ -92,28 +108,70 @@ class FunctionPolicy(Policy):
         """Time between two decisions (s), as in training."""
         return self.spec.control_period
 
+    @property
+    def is_batchable(self) -> bool:
+        """Whether `copy_for` works: for dense networks with built-in features and action scheme."""
+        is_own = self.spec.features not in list_features(self.spec.agent) or isinstance(self.scheme, CustomScheme)
+        return isinstance(self.function, DenseNetwork) and not is_own and type(self).act is FunctionPolicy.act
+
+    def copy_for(self, count: int, arrays: ArrayFactory) -> "FunctionPolicy":
+        """Return a policy with the same network for `count` episodes, see `ArrayPolicy`.
+
+        Actions equal those of single policies to the bit and do not depend on the other episodes of the batch. For
+        PyTorch tensors, they equal those of single policies to 1e-5.
+        """
+        policy, function = copy.copy(self), self.function
+        assert isinstance(function, DenseNetwork)
+        policy.function = function.copy_to(arrays)
+        policy._allocate(count, arrays)
+        return policy
+
     def reset(self, seed: int | None = None) -> None:
         """Start an episode: forget the last one, and call the method `reset(seed)` of the function if it has one."""
-        self.scheme.reset()
+        self.start(0, seed)
+
+    def start(self, row: int, seed: int | None) -> None:
+        """Start the episode with index `row`, see `reset`."""
+        self.scheme.reset(row)
         if self._features is not None:
-            self._features.reset()
+            self._features.reset(row)
         reset_function(self.function, seed)
 
     def act(self, observation: Observation) -> Action:
         """Return the action, (8,) of a giver or (9,) of a receiver; evaluate the function if the scheme needs it."""
-        if self.scheme.needs_outputs(observation):
-            inputs = observation if self._features is None else self._features(observation)
-            self.scheme.set_outputs(self.evaluate(inputs))
-        return self.scheme.compute_action(observation)
+        action: Action = self.decide(ONLY_ROW, add_episode_axis(observation))[0]
+        return action
 
-    def evaluate(self, inputs: Any) -> npt.NDArray[np.float32]:
-        """Return the outputs (n_outputs,) of the function for encoded inputs: features, or the observation itself.
+    def count_hold_steps(self, rows: AnyIndices) -> int:
+        """Return the number of physics steps for which actions are held, the same in all episodes."""
+        return steps_from_hold_time(self.hold_time)
+
+    def decide(self, rows: AnyIndices, observation: Observation) -> AnyArray:
+        """Return actions (r, 8) or (r, 9) of the episodes with indices `rows`; evaluate the function where needed.
 
         Raises:
-            ActionError: The outputs are not `n_outputs` finite numbers.
+            ActionError: The outputs of the function are not `n_outputs` finite numbers.
+        """
+        needs = self._arrays.xp.nonzero(self.scheme.needs_outputs(rows, observation))[0]
+        if len(needs):
+            some = {key: values[needs] for key, values in observation.items()}
+            inputs = some if self._features is None else self._features(rows[needs], some)
+            self.scheme.set_outputs(rows[needs], self._evaluate(inputs))
+        return self.scheme.compute_actions(rows, observation)
+
+    def _evaluate(self, inputs: Any) -> AnyArray:
+        """Return the outputs (r, n_outputs) of the function for encoded inputs: features, or observations; r may be 1.
+
+        Functions that are no dense networks are called for one episode only.
         """
         what = f"outputs of the {self.spec.agent} {self.name!r}"
-        return check_vector(what, self.function(inputs), self.scheme.size, "as its action scheme decodes")
+        if not isinstance(self.function, DenseNetwork):
+            own = {key: values[0] for key, values in inputs.items()} if self._features is None else inputs[0]
+            return check_vector(what, self.function(own), self.scheme.size, _MEANING)[None]
+        outputs, xp = self.function(inputs), self._arrays.xp
+        for number in xp.nonzero(~xp.all(xp.isfinite(outputs), axis=1))[0].tolist():
+            check_vector(what, to_numpy(outputs[number]), self.scheme.size, _MEANING)
+        return outputs
 
     def _check_module(self, function: "TorchFunction", n_inputs: int) -> None:
         """Evaluate a copy of a module on `n_inputs` zeros, so that a wrong size shows before the first episode."""

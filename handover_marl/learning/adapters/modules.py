@@ -48,31 +48,29 @@ def _array(tensor: Any) -> Array:
     return np.array(tensor.detach().cpu().numpy(), dtype=np.float32)
 
 
-def dense_network_from_module(module: Any, activation: str | None = None) -> DenseNetwork:
+def dense_network_from_module(module: Any) -> DenseNetwork:
     """Convert a PyTorch module of linear layers, in the order of registration, to a `DenseNetwork`.
 
-    Module and network are evaluated on random inputs. The comparison also finds the activation after the last layer.
+    The activations, one between the layers and one after the last, are found by comparison on random inputs.
 
     Args:
         module: Module from (n, n_inputs) to (n, n_outputs).
-        activation: Activation between the layers, a key of `ACTIVATIONS`; None finds it by comparison, too.
 
     Raises:
-        DataFormatError: The shapes of consecutive layers do not match, or no network of these layers and one activation
-            (`activation`, if given) has the same outputs.
+        DataFormatError: The shapes of consecutive layers do not match, or no network of these layers has the same
+            outputs.
     """
-    bare = dense_network_from_layers(module, "identity" if activation is None else activation)
+    bare = dense_network_from_layers(module, "identity")
     inputs = draw_inputs(bare.n_inputs)
     expected = _evaluate(module, inputs)
-    candidates = ACTIVATIONS if activation is None else (activation,)
     # Identity first: for small outputs, as of networks at the start of a training, tanh is nearly the same.
-    for between, after in itertools.product(candidates, ("identity", *ACTIVATIONS)):
+    for between, after in itertools.product(ACTIVATIONS, ("identity", *ACTIVATIONS)):
         network = replace(bare, activation=between, output=after)
         if is_close(network, inputs, expected):
             return network
     raise DataFormatError(
         f"{type(module).__name__} must consist of linear layers with one activation between them "
-        f"({', '.join(candidates)}); run other modules with handover_marl.as_receiver or handover_marl.as_giver"
+        f"({', '.join(ACTIVATIONS)}); run other modules with handover_marl.as_receiver or handover_marl.as_giver"
     )
 
 

@@ -1,40 +1,137 @@
-"""Training run of a network by imitation: folder, checkpoint, logs, and choice of the best network."""
+"""Training of networks by imitation: optimizer, averaged weights, run folder, logs, and choice of the best network."""
 
+import math
 import shutil
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 import torch
 from rich.progress import track
+from torch import Tensor, nn
+from torch.optim.swa_utils import AveragedModel
 from torch.utils.tensorboard import SummaryWriter
 
-from handover_marl.datasets.splits import select_scenes_evenly
-from handover_marl.errors import OptionError
-from handover_marl.evaluation.benchmark import evaluate_pair
-from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig
-from handover_marl.learning.imitation.learner import Batches, ImitationLearner
 from handover_marl.learning.imitation.samples import Samples, join_samples
-from handover_marl.learning.networks.weights import write_network_weights
+from handover_marl.learning.networks.weights import SavedNetwork, write_network_weights
 from handover_marl.learning.training.run_folder import (
     CHECKPOINT,
     describe_origin,
     open_run_folder,
     read_checkpoint,
-    summarize_evaluation,
+    validate,
     write_checkpoint,
 )
-from handover_marl.learning.training.scene_arguments import DatasetArgs
+from handover_marl.learning.training.scene_arguments import SetupArgs
 
-_LATEST = "latest.npz"
+Network = TypeVar("Network", bound=SavedNetwork)
+Batch = TypeVar("Batch")
+_WEIGHT_DECAY = 1e-4
 # Updates between two records of losses, and between two evaluations on held-out samples with a checkpoint.
 LOSS_INTERVAL, METRICS_INTERVAL = 50, 500
 
 
+class Batches(Protocol):
+    """Data set of samples from which random batches are drawn."""
+
+    def sample(self, count: int, rng: np.random.Generator) -> Any:
+        """Return a batch of `count` randomly drawn and augmented samples."""
+
+
+class ImitationLearner(ABC, Generic[Network, Batch]):
+    """Base class of trainers of a network, with AdamW as optimizer and exponentially averaged weights.
+
+    Args:
+        network: Network to train.
+        updates: Number of updates of the whole training, over which the learning rate decays.
+        device: Device to train on.
+
+    Attributes:
+        learning_rate: Largest learning rate of AdamW.
+        final_share: Learning rate at the end of its cosine decay, as fraction of the largest.
+        warmup: Number of updates at the start in which the learning rate rises.
+        epsilon: Number that AdamW adds to denominators.
+        max_gradient_norm: Largest norm of the gradient; longer gradients are scaled down.
+        averaging: Decay of the exponential average of the weights; with 0 the weights are not averaged.
+        use_bfloat16: Whether matrix products are computed in bfloat16.
+        done: Number of updates so far.
+        averaged: Network with the averaged weights, for use after training.
+    """
+
+    learning_rate, final_share, warmup, epsilon = 1e-3, 0.0, 1, 1e-8
+    max_gradient_norm, averaging, use_bfloat16 = 5.0, 0.0, True
+
+    def __init__(self, network: Network, updates: int, device: torch.device) -> None:
+        self._updates, self._device = updates, device
+        self._network = network.to(device)
+        self._averages = AveragedModel(self._network, avg_fn=self._average, use_buffers=True)
+        self.averaged: Network = self._averages.module.eval()  # type: ignore[assignment]
+        groups = [
+            {"params": list(parameters), "rate": rate} for parameters, rate in self.list_parameter_groups(network)
+        ]
+        self._optimizer = torch.optim.AdamW(groups, lr=self.learning_rate, weight_decay=_WEIGHT_DECAY, eps=self.epsilon)
+        self.done = 0
+
+    @abstractmethod
+    def compute_losses(self, network: Network, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
+        """Return the loss of a network to minimize, and its losses to report by name, for a batch on any device."""
+
+    @abstractmethod
+    def evaluate(self, held_out: Any) -> dict[str, float]:
+        """Return metrics by name of the network with averaged weights, on held-out samples."""
+
+    def list_parameter_groups(self, network: Network) -> list[tuple[Iterable[nn.Parameter], float]]:
+        """Return groups of the network's parameters, each with its largest learning rate; by default one group."""
+        return [(network.parameters(), self.learning_rate)]
+
+    def update(self, batch: Batch) -> dict[str, float]:
+        """Update the network by one gradient step on a batch; return the losses before the update, by name."""
+        self._network.train()
+        for group in self._optimizer.param_groups:
+            group["lr"] = group["rate"] * self._compute_rate_share()
+        loss, losses = self.compute_losses(self._network, batch)
+        self._optimizer.zero_grad(set_to_none=True)
+        torch.autograd.backward(loss)
+        torch.nn.utils.clip_grad_norm_(self._network.parameters(), self.max_gradient_norm)
+        self._optimizer.step()
+        self.done += 1
+        self._averages.update_parameters(self._network)
+        return {name: float(value.detach()) for name, value in losses.items()}
+
+    def get_state(self) -> dict[str, Any]:
+        """Return a dict with weights, averaged weights, optimizer state and number of updates, for a checkpoint."""
+        return {
+            "done": self.done,
+            "network": self._network.state_dict(),
+            "averaged": self._averages.state_dict(),
+            "optimizer": self._optimizer.state_dict(),
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Restore weights, averaged weights, optimizer state and number of updates from a dict of `get_state`."""
+        self._network.load_state_dict(state["network"])
+        self._averages.load_state_dict(state["averaged"])
+        self._optimizer.load_state_dict(state["optimizer"])
+        self.done = int(state["done"])
+
+    def _compute_rate_share(self) -> float:
+        """Return the present learning rates as fraction of the largest ones."""
+        rise = min(1.0, (self.done + 1) / max(1, self.warmup))
+        fall = 0.5 * (1.0 + math.cos(math.pi * min(1.0, self.done / max(1, self._updates))))
+        return rise * (self.final_share + (1.0 - self.final_share) * fall)
+
+    def _average(self, averaged: Tensor, current: Tensor, _: Tensor | int) -> Tensor:
+        """Return the new average of a parameter or buffer, from its last average and its present value."""
+        # Averages over few updates at first, so that the initial weights are soon forgotten.
+        decay = min(self.averaging, (1.0 + self.done) / (10.0 + self.done))
+        return decay * averaged + (1.0 - decay) * current
+
+
 @dataclass(frozen=True)
-class ImitationArgs(DatasetArgs):
+class ImitationArgs(SetupArgs):
     """Arguments of the trainings of receivers' networks by imitation.
 
     Attributes:
@@ -59,11 +156,6 @@ class ImitationArgs(DatasetArgs):
     device: str = "auto"
     resume: bool = False
 
-    def __post_init__(self) -> None:
-        for name in ("updates", "batch_size", "threads"):
-            if getattr(self, name) < 1:
-                raise OptionError(f"{name} must be at least 1, got {getattr(self, name)}")
-
     @property
     def torch_device(self) -> torch.device:
         """Device to train on; "auto" is a GPU if PyTorch finds one, else the processor."""
@@ -75,15 +167,15 @@ class ImitationRun:
     """Training run of a receiver's network by imitation, with evaluations that select the best network.
 
     Args:
-        args: Arguments of the training.
+        args: Arguments of the training, with a setup, whose validation split selects the network.
         receiver: Name of the receiver; its script is `train_RECEIVER.py`, and the best network `RECEIVER.npz`.
-        setup: Setup whose validation split selects the network.
         robot: Robot model of evaluations: panda or panda_camera.
         learner: Trainer of the network.
         free: Names of arguments that may change when a run is resumed.
 
     Attributes:
         folder: Folder of the run.
+        latest: Path of the weights of the last evaluation, with which the network acts in the next round.
         writer: Writer of the TensorBoard logs.
 
     Raises:
@@ -94,7 +186,6 @@ class ImitationRun:
         self,
         args: ImitationArgs,
         receiver: str,
-        setup: str | None,
         robot: str,
         learner: ImitationLearner[Any, Any],
         free: Sequence[str] = (),
@@ -102,13 +193,8 @@ class ImitationRun:
         data = args.open_dataset(robot)
         free = ("workers", "threads", "device", *free)
         self.folder = open_run_folder(Path(args.out), args, args.resume, data.name, free)
-        self._args, self._receiver, self._learner, self._best = args, receiver, learner, -1.0
+        self._args, self._receiver, self._robot, self._learner, self._best = args, receiver, robot, learner, -1.0
         self._card = {"made by": describe_origin(f"train_{receiver}", args), "dataset": data.name}
-        scenes = select_scenes_evenly(data.list_scenes(setup, "val"), args.val_scenes)
-        self._config = EvaluationConfig(
-            setup, "val", scenes, args.dataset, args.data_dir, "fast", robot=robot, receiver=receiver
-        )
-        self._execution = ExecutionConfig(args.workers, progress=False)
         if args.resume and (self.folder / CHECKPOINT).exists():
 
             def restore_all(state: dict[str, Any]) -> None:
@@ -116,17 +202,8 @@ class ImitationRun:
                 self._best = float(state["best"])
 
             read_checkpoint(self.folder / CHECKPOINT, restore_all)
+        self.latest, self._path = self.folder / "latest.npz", self.folder / f"{receiver}.npz"
         self.writer = SummaryWriter(str(self.folder / "tensorboard"))
-
-    @property
-    def latest(self) -> Path:
-        """Path of the weights of the last evaluation, with which the network acts in the next round."""
-        return self.folder / _LATEST
-
-    @property
-    def best(self) -> Path:
-        """Path of the weights of the network with the largest mean success rate on the validation split."""
-        return self.folder / f"{self._receiver}.npz"
 
     def save(self) -> None:
         """Write a checkpoint: the state of the learner and the best success rate so far."""
@@ -156,7 +233,7 @@ class ImitationRun:
                 self._update(make_batches(join_samples(samples)), held_out, end)
                 self._evaluate(options)
         self.writer.close()
-        return self.best
+        return self._path
 
     def _update(self, batches: Batches, held_out: Any, end: int) -> None:
         """Train until the update with number `end`; log losses of the batches, and metrics on held-out samples."""
@@ -181,15 +258,16 @@ class ImitationRun:
         steps = self._learner.done
         write_network_weights(self.latest, self._learner.averaged, {**self._card, "steps": steps})
         successes = []
+        args = self._args
         for chosen in options:
             receiver = (self._receiver, {"weights": str(self.latest), **chosen})
-            report = evaluate_pair(replace(self._config, receiver=receiver), execution=self._execution)
             label = "".join(f", {name} {value}" for name, value in chosen.items())
-            print(summarize_evaluation(report, f"{steps} gradient updates{label}"), flush=True)
+            where: dict[str, Any] = {"physics": "fast", "robot": self._robot, "workers": args.workers}
+            report = validate(args, args.val_scenes, "replay", receiver, f"{steps} gradient updates{label}", **where)
             for name, rate in report.rates.items():
                 self.writer.add_scalar(f"evaluation/{name}{label}", rate.mean, steps)
             successes.append(report.success_rate)
         if float(np.mean(successes)) >= self._best:
             self._best = float(np.mean(successes))
-            shutil.copyfile(self.latest, self.best)
+            shutil.copyfile(self.latest, self._path)
         self.save()

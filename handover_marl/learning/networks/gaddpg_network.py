@@ -122,7 +122,7 @@ class GaddpgNetwork(SavedNetwork):
         return output
 
     def predict_step(self, points: npt.NDArray[np.float64], remaining: int) -> npt.NDArray[np.float32]:
-        """Return the next motion of the robot's hand for one cloud, as `predict_steps` does for several.
+        """Return the next motion of the robot's hand for one cloud, computed in one thread.
 
         Args:
             points: (4, 1024 or 1030) cloud as in `forward`.
@@ -131,34 +131,15 @@ class GaddpgNetwork(SavedNetwork):
         Returns:
             (6,) translation (m) and extrinsic xyz Euler angles (rad) in the hand link's frame.
         """
-        step: npt.NDArray[np.float32] = self.predict_steps(points[None], np.array([float(remaining)]))[0]
-        return step
-
-    def predict_steps(
-        self, clouds: npt.NDArray[np.float64], remaining: npt.NDArray[np.float64]
-    ) -> npt.NDArray[np.float32]:
-        """Return the next motion of the robot's hand for each of B clouds, computed in one thread.
-
-        Args:
-            clouds: (B, 4, 1024) points of the object, xyz in the hand link's frame (m) and a zero; or (B, 4, 1030) with
-                six points of the gripper before them.
-            remaining: (B,) numbers of decisions that remain in the approach.
-
-        Returns:
-            (B, 6) translations (m) and extrinsic xyz Euler angles (rad) in the hand link's frame.
-        """
         self.eval()
-        device = next(self.parameters()).device
         with single_threaded_inference():
-            cloud = torch.from_numpy(clouds.astype(np.float32)).to(device)
-            output = self(cloud, torch.from_numpy(remaining.astype(np.float32)).to(device))
+            output = self(torch.from_numpy(points[None].astype(np.float32)), torch.tensor([float(remaining)]))
         if self.spare_steps is None:
-            action: npt.NDArray[np.float32] = output.action.cpu().numpy()
-            return action
-        goals = output.goal.cpu().numpy().astype(np.float64)
-        poses = np.concatenate([goals[:, 4:], normalize_quaternions(goals[:, [1, 2, 3, 0]])], axis=1)
-        present = np.tile(IDENTITY, (len(goals), 1))
-        return compute_approach_steps(present, poses, remaining, self.spare_steps).astype(np.float32)
+            return np.asarray(output.action[0].numpy())
+        goal = output.goal.numpy().astype(np.float64)
+        pose = np.concatenate([goal[:, 4:], normalize_quaternions(goal[:, [1, 2, 3, 0]])], axis=1)
+        steps = compute_approach_steps(IDENTITY[None], pose, np.array([float(remaining)]), self.spare_steps)
+        return np.asarray(steps[0], dtype=np.float32)
 
     def get_settings(self) -> dict[str, Any]:
         """Return the constructor's arguments in JSON types, with the keys of the shipped file."""
@@ -196,14 +177,17 @@ def read_gaddpg_checkpoint(path: str | Path) -> tuple[GaddpgNetwork, str]:
     with untrained_networks():
         network = GaddpgNetwork()
     _load_weights(actor, network.policy, head)
-    _load_weights(features, network.features, _rename_encoder(encoder))
+    # Only the actor's encoder, with the names of `PointNetPlusPlus`.
+    renamed = {_STAGES.sub("stages.", _DENSE.sub("dense.", name)): value for name, value in encoder.items()}
+    own = {name: value for name, value in renamed.items() if name.startswith(("stages.", "dense."))}
+    _load_weights(features, network.features, own)
     return network.eval(), hashlib.sha256(head_content + encoder_content).hexdigest()[:8]
 
 
 def _find_files(path: Path) -> tuple[Path, Path]:
     """Return the files with the actor's head and with the encoders, for a checkpoint's folder or one of its files."""
     if path.is_dir():
-        actors = sorted(file for file in path.iterdir() if _ACTOR in file.name)
+        actors = sorted(path.glob(f"*{_ACTOR}*"))
         chosen = [file for file in actors if file.name.endswith("_latest")] or actors
         if len(chosen) != 1:
             found = ", ".join(file.name for file in chosen) or "none"
@@ -214,8 +198,7 @@ def _find_files(path: Path) -> tuple[Path, Path]:
     name = path.name.replace(_FEATURES, _ACTOR)
     if _ACTOR not in name:
         raise DataNotFoundError(
-            f"{path}: a checkpoint of GA-DDPG is a folder with files named like DDPG{_ACTOR}PandaYCBEnv_latest and "
-            f"DDPG{_FEATURES}PandaYCBEnv_latest, or one of these files"
+            f"{path}: a file of GA-DDPG's checkpoint must have {_ACTOR!r} or {_FEATURES!r} in its name"
         )
     return path.with_name(name), path.with_name(name.replace(_ACTOR, _FEATURES))
 
@@ -235,14 +218,6 @@ def _read_weights(file: Path) -> tuple[dict[str, Tensor], bytes]:
     if not isinstance(net, Mapping) or not all(isinstance(value, Tensor) for value in net.values()):
         raise DataFormatError(f"{file}: not a checkpoint of GA-DDPG, which has weights by name under 'net'")
     return {str(name): value for name, value in net.items()}, content
-
-
-def _rename_encoder(weights: dict[str, Tensor]) -> dict[str, Tensor]:
-    """Return those of the original weights that belong to the actor's encoder, by their names in `PointNetPlusPlus`."""
-    renamed: dict[str, Tensor] = {}
-    for pattern, part in ((_STAGES, "stages."), (_DENSE, "dense.")):
-        renamed |= {pattern.sub(part, name): value for name, value in weights.items() if pattern.match(name)}
-    return renamed
 
 
 def _load_weights(file: Path, module: nn.Module, weights: dict[str, Tensor]) -> None:

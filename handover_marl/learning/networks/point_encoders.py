@@ -123,7 +123,10 @@ class SetAbstraction(nn.Module):
         else:
             columns = gather_columns(xyz, sample_farthest_points(positions, self.grouping.centers))
             centers = columns.transpose(1, 2)
-            near = query_ball(positions, centers, self.grouping.radius, self.grouping.neighbors)
+            count = self.grouping.neighbors
+            # Repeated points do not change the maximum of a group, but take time in a training.
+            count = min(count, positions.shape[1]) if self.training else count
+            near = query_ball(positions, centers, self.grouping.radius, count)
             relative = gather_columns(xyz, near) - columns[..., None]
             groups = torch.cat([relative, gather_columns(features, near)], dim=1)
         return centers, self.mlps[0](groups).amax(dim=-1)

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +16,16 @@ from handover_marl.evaluation.benchmark import evaluate_pair
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.execution.files import shorten_text, write_atomically
 from handover_marl.execution.reading import check_archive, read_plain_file
+from handover_marl.learning.adapters.modules import dense_network_from_layers
+from handover_marl.learning.policy_spec import DenseNetwork, InputNormalization
 from handover_marl.learning.training.scene_arguments import SetupArgs
+from handover_marl.policies.reference import PolicyLike
 
 POLICY, CHECKPOINT = "policy.npz", "checkpoint.pt"
 _FAILURES = ("contact", "drop", "timeout")
 _ARGUMENTS = "arguments.json"
+# Largest absolute value of normalized inputs.
+_INPUT_CLIP = 5.0
 _MAX_CHECKPOINT_BYTES = 20_000_000_000
 # Arguments that may change when a run is resumed: durations and paths.
 _FREE = ("resume", "out", "data_dir", "decisions", "minutes")
@@ -109,43 +115,62 @@ def read_checkpoint(path: Path, restore: Callable[[dict[str, Any]], None]) -> No
         ) from error
 
 
-def summarize_evaluation(report: Report, steps: str) -> str:
-    """Return the outcomes of an evaluation during training as one line.
-
-    Args:
-        report: Report of the evaluation.
-        steps: Text with the number of training steps before the evaluation and their unit.
-    """
-    n, metadata = len(report.episodes), report.metadata
-    success = report.rates["success"].format()
-    others = ", ".join(f"{name} {100 * (report.rates[name].mean or 0.0):.1f} %" for name in _FAILURES)
-    return f"{steps}: success {success} %, {others} [{n} scenes of {metadata.dataset}, {metadata.physics} physics]"
-
-
-def print_validation(args: SetupArgs, count: int, physics: str, giver: str, receiver: str, label: str) -> None:
-    """Evaluate a pair on the validation split, and print a line with its outcomes.
+def validate(
+    args: SetupArgs, count: int, giver: PolicyLike, receiver: PolicyLike, label: str, **options: Any
+) -> Report:
+    """Evaluate a pair on scenes of the validation split, evenly chosen; print a line with its outcomes.
 
     Args:
         args: Dataset and setup.
-        count: Number of scenes, evenly chosen; 0 skips the evaluation.
-        physics: Physics engine: fast, exact or mujoco.
+        count: Number of scenes.
         giver: Giver, with options.
         receiver: Receiver, with options.
-        label: Text at the start of the line.
+        label: Text at the start of the line, such as the number of training steps.
+        options: Other options of `handover_marl.evaluate_pair`, such as the physics.
     """
-    if not count:
-        return
-    report = evaluate_pair(
-        giver,
-        receiver,
-        args.setup,
-        "val",
-        scenes=select_scenes_evenly(args.open_dataset().list_scenes(args.setup, "val"), count),
-        dataset=args.dataset,
-        data_dir=args.data_dir,
-        physics=physics,
-    )
-    print(summarize_evaluation(report, label), flush=True)
+    scenes = select_scenes_evenly(args.open_dataset().list_scenes(args.setup, "val"), count)
+    where = {"scenes": scenes, "dataset": args.dataset, "data_dir": args.data_dir, "progress": False}
+    report = evaluate_pair(giver, receiver, args.setup, "val", **where | options)
+    success, metadata = report.rates["success"].format(), report.metadata
+    others = ", ".join(f"{name} {100 * (report.rates[name].mean or 0.0):.1f} %" for name in _FAILURES)
+    what = f"[{len(report.episodes)} scenes of {metadata.dataset}, {metadata.physics} physics]"
+    print(f"{label}: success {success} %, {others} {what}", flush=True)
+    return report
+
+
+def fit_network(
+    network: nn.Sequential,
+    activation: str,
+    inputs: torch.Tensor,
+    batches: Sequence[torch.Tensor],
+    compute_loss: Callable[[torch.Tensor, torch.Tensor], torch.Tensor],
+    learning_rate: float,
+    weight_decay: float,
+) -> DenseNetwork:
+    """Train a network on normalized inputs by AdamW, whose learning rate decays to zero by a cosine.
+
+    Args:
+        network: New network of linear layers.
+        activation: Activation between the layers, a key of `ACTIVATIONS`.
+        inputs: Inputs (n, k) of all samples.
+        batches: Indices (b,) of the samples in each gradient step.
+        compute_loss: Function from the outputs (b, m) of the network and the indices (b,) of their samples to a loss.
+        learning_rate: Learning rate at the start.
+        weight_decay: Weight decay.
+    """
+    mean, scale = inputs.mean(0), inputs.std(0).clamp(min=0.05)
+    normalized = ((inputs - mean) / scale).clamp(-_INPUT_CLIP, _INPUT_CLIP)
+    optimizer = torch.optim.AdamW(network.parameters(), learning_rate, weight_decay=weight_decay)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, len(batches))
+    for rows in batches:
+        loss = compute_loss(network(normalized[rows]), rows)
+        optimizer.zero_grad()
+        torch.autograd.backward(loss)
+        optimizer.step()
+        schedule.step()
+    clip = np.full(inputs.shape[1], _INPUT_CLIP)
+    normalization = InputNormalization(mean.double().numpy(), scale.double().numpy(), clip)
+    return replace(dense_network_from_layers(network, activation), normalization=normalization)
 
 
 def make_mlp(n_inputs: int, n_outputs: int, width: int = 64, gain: float = 1.0) -> nn.Sequential:

@@ -40,31 +40,22 @@ def select_held_out_scenes(scene_ids: Sequence[int]) -> tuple[int, ...]:
 
 
 @dataclass(frozen=True)
-class DatasetArgs:
-    """Arguments of scripts that read scenes.
+class SetupArgs:
+    """Arguments of scripts that read the scenes of a setup.
 
     Attributes:
         data_dir: Folder in HandoverSim's layout; default: environment variable HANDOVER_MARL_DATA.
         dataset: Dataset: dexycb, synthetic, generated:n=1000,seed=7, own:FOLDER, or auto.
+        setup: Official setup, s0 to s3, or a setup of other data; default: the first of the dataset.
     """
 
     data_dir: str | None = None
     dataset: str = "auto"
+    setup: str | None = None
 
     def open_dataset(self, robot: str = PANDA) -> Dataset:
         """Open the dataset that the arguments name, with a robot model, "panda" or "panda_camera"."""
         return open_dataset(self.dataset, self.data_dir, robot)
-
-
-@dataclass(frozen=True)
-class SetupArgs(DatasetArgs):
-    """Arguments of scripts that read the scenes of a setup.
-
-    Attributes:
-        setup: Official setup, s0 to s3, or a setup of other data; default: the first of the dataset.
-    """
-
-    setup: str | None = None
 
     def resolve_setup(self) -> "Self":
         """Return a copy of the arguments in which `setup` is a name; None becomes the first setup of the dataset.
@@ -76,29 +67,12 @@ class SetupArgs(DatasetArgs):
         return replace(self, setup=self.open_dataset().resolve_setup(self.setup))
 
     @property
-    def training_scenes(self) -> tuple[int, ...]:
-        """Scenes of the setup's training split that are used for training, see `select_training_scenes`."""
+    def scene_options(self) -> dict[str, Any]:
+        """Keyword arguments of environments with the training scenes, see `select_training_scenes`."""
         dataset = self.open_dataset()
-        return select_training_scenes(dataset.list_scenes(dataset.resolve_setup(self.setup), "train"))
-
-
-@dataclass(frozen=True)
-class EvaluationArgs(SetupArgs):
-    """Arguments of scripts that evaluate policies.
-
-    Attributes:
-        physics: Physics engine: fast, exact or mujoco.
-        workers: Number of worker processes; default: one per core.
-    """
-
-    physics: str = "fast"
-    workers: int | None = None
-
-    @property
-    def evaluation_options(self) -> dict[str, Any]:
-        """Keyword arguments with these values for `handover_marl.evaluate_pair` and `handover_marl.benchmark`."""
-        names = ("setup", "dataset", "data_dir", "physics", "workers")
-        return {name: getattr(self, name) for name in names}
+        scenes = select_training_scenes(dataset.list_scenes(dataset.resolve_setup(self.setup), "train"))
+        where = {"setup": self.setup, "dataset": self.dataset, "data_dir": self.data_dir}
+        return where | {"split": "train", "scenes": scenes}
 
 
 @dataclass(frozen=True)
@@ -145,8 +119,7 @@ class RlArgs(SetupArgs):
     @property
     def env_options(self) -> dict[str, Any]:
         """Keyword arguments of training environments: scenes, physics, control period and largest number of steps."""
-        names = ("setup", "dataset", "data_dir", "physics", "control_period", "max_cycles")
-        return {"split": "train", "scenes": self.training_scenes} | {name: getattr(self, name) for name in names}
+        return self.scene_options | {name: getattr(self, name) for name in ("physics", "control_period", "max_cycles")}
 
     @property
     def max_cycles(self) -> int:

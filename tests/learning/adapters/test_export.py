@@ -92,7 +92,7 @@ def test_encoded_models_act_as_there(kind: str, encoded: Any, tmp_path: Path) ->
             np.testing.assert_allclose(network(observation), expected, atol=1e-5 if is_normalized else 1e-4)
         direct: Any = handover_marl.as_receiver(model).make(DATA)
         assert direct.hold_time == 0.2
-        np.testing.assert_array_equal(direct.evaluate(seen[0]), network(seen[0]))
+        np.testing.assert_array_equal(direct.function(seen[0]), network(seen[0]))
 
 
 @pytest.mark.slow

@@ -42,8 +42,6 @@ def test_steps_go_to_the_predicted_grasp_for_each_of_several_clouds() -> None:
     goals = found.goal.double().numpy()[:, [4, 5, 6, 1, 2, 3, 0]]
     here = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (3, 1))
     wanted = compute_approach_steps(here, goals, left, 5)
-    np.testing.assert_allclose(by_goal.predict_steps(clouds, left), wanted, atol=1e-5)
-    np.testing.assert_allclose(by_action.predict_steps(clouds, left), found.action.numpy(), atol=1e-5)
     for network, expected in ((by_goal, wanted), (by_action, found.action.numpy())):
         single = [network.predict_step(one, int(count)) for one, count in zip(clouds, left, strict=True)]
         np.testing.assert_allclose(single, expected, atol=1e-5)

@@ -2,7 +2,6 @@
 
 import importlib.util
 import sys
-from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -10,7 +9,6 @@ from typing import Any
 import pytest
 
 from handover_marl.evaluation.benchmark import evaluate_pair
-from handover_marl.evaluation.config import ExecutionConfig
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.receivers.reactive.config import ReactiveConfig
 from handover_marl.receivers.reactive.grasps import GraspPreparationConfig
@@ -47,13 +45,13 @@ def files(folder: Path) -> set[str]:
 
 def evaluate_hold(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Let trainings by imitation evaluate `hold`, whose episodes take less time; return the files of weights."""
-    from handover_marl.learning.imitation import run
+    from handover_marl.learning.training import run_folder
 
     evaluated: list[str] = []
 
-    def evaluate(config: Any, execution: ExecutionConfig) -> Report:
-        evaluated.append(Path(config.receiver[1]["weights"]).name)
-        return evaluate_pair(replace(config, receiver="hold"), execution=execution)
+    def evaluate(giver: str, receiver: Any, *split: str, **options: Any) -> Report:
+        evaluated.append(Path(receiver[1]["weights"]).name)
+        return evaluate_pair(giver, "hold", *split, **options)
 
-    monkeypatch.setattr(run, "evaluate_pair", evaluate)
+    monkeypatch.setattr(run_folder, "evaluate_pair", evaluate)
     return evaluated

@@ -13,7 +13,7 @@ from handover_marl.datasets import DATA_DIR_VARIABLE
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.envs.rewards import SHAPED
 from handover_marl.errors import ResultsError, UnknownNameError
-from handover_marl.learning.imitation.vision.views import GraspViewConfig
+from handover_marl.learning.imitation.vision.views import ViewRenderer
 from handover_marl.learning.training.run_folder import open_run_folder
 from handover_marl.policies.reference import parse_policy
 from tests.helpers.short_episodes import shorten_episodes
@@ -23,7 +23,7 @@ sb3 = pytest.importorskip("stable_baselines3", reason="needs the extra `train`")
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning", "ignore::DeprecationWarning")
 
 
-SMALL: dict[str, Any] = {"dataset": "synthetic", "num_envs": 1, "val_scenes": 1, "eval_start": False}
+SMALL: dict[str, Any] = {"dataset": "synthetic", "num_envs": 1, "val_scenes": 1}
 GIVER = {**SMALL, "agent": "giver", "partner": "hold", "physics": "fast", "batch_size": 2, "eval_interval": 4}
 RECEIVER = {**SMALL, "batch_size": 8, "time_limit": 0.6, "eval_interval": 16, "rewards": REWARDS}
 MADE = {"arguments.json", "policy.npz", "checkpoint.zip", "progress.csv", "tensorboard"}
@@ -82,7 +82,9 @@ def test_runs_are_not_resumed_on_another_dataset(
 ) -> None:
     """A run with the dataset "auto" is not resumed if an environment variable now selects another dataset."""
     train = script("train_sb3", monkeypatch)
-    args = train.Args(setup="s0", out=str(tmp_path / "run"), resume=True)
+    args = train.Args(
+        setup="s0", features="close", actions="grasp_servo", partner="replay", out=str(tmp_path / "run"), resume=True
+    )
     open_run_folder(tmp_path / "run", args, False, "synthetic")
     monkeypatch.setenv(DATA_DIR_VARIABLE, str(fake_data))
     with pytest.raises(ResultsError, match=r"other arguments \(dataset\)"):
@@ -102,7 +104,7 @@ def test_a_wrong_name_leaves_no_folder(tmp_path: Path, monkeypatch: pytest.Monke
 def test_train_vision(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("embreex")
     train = script("train_vision", monkeypatch)
-    monkeypatch.setattr(train, "GraspViewConfig", functools.partial(GraspViewConfig, reactive=QUICK_REACTIVE))
+    monkeypatch.setattr(train, "ViewRenderer", functools.partial(ViewRenderer, reactive=QUICK_REACTIVE))
     evaluated = evaluate_hold(monkeypatch)
     few = {"dataset": "synthetic", "updates": 2, "views": 2, "batch_size": 8, "stride": 400, "workers": 1}
     few["extra_datasets"] = ("generated:n=30,seed=7,procedural=0",)

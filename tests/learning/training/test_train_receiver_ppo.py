@@ -88,6 +88,15 @@ def test_advantages_are_discounted_sums_of_errors(train: ModuleType) -> None:
     np.testing.assert_allclose(found[:, 0], [1.0 + 0.5 * 1.0 - 0.5 + 0.4 * 1.0, 2.0 - 1.0, 4.0 + 0.5 * 8.0 - 2.0])
 
 
+def test_only_the_value_function_observes_the_other_agent(train: ModuleType) -> None:
+    learner = train.ActorCritic(2, [0.1, 0.1, 0.1], 8, n_features=5)
+    features = torch.randn(4, 5)
+    changed = torch.cat([features[:, :2], features[:, 2:] + 1.0], 1)
+    mean = learner.compute_distribution(features).mean
+    torch.testing.assert_close(learner.compute_distribution(changed).mean, mean, rtol=0, atol=0)
+    assert (learner.compute_value(changed) != learner.compute_value(features)).all()
+
+
 def test_updates_favor_actions_with_larger_advantages(train: ModuleType) -> None:
     torch.manual_seed(0)
     args = train.Args(epochs=20, minibatch_size=64, learning_rate=3e-3)

@@ -1,21 +1,29 @@
-"""Expert for imitation learning: selection of the grasp to approach, and a plan to reach it.
+"""Random scenarios for imitation rollouts, and an expert that plans in them.
 
-Candidates are the cheapest grasps that the arm reaches both by full inverse kinematics and by the
-receiver's own stepwise control, which stalls near singular postures. The planner `omg` (Wang et
-al., RSS 2020) chooses among the best ones and plans a trajectory of waypoints 0.15 s apart.
+In a scenario, an object is at rest at a pose from a training scene (at the handover, on the way there, or on the table)
+with a random offset. The arm is at its start pose or observes the object from a random pose. An invisible sphere in
+place of a person's hand occludes some objects partly; grasps keep clear of the sphere.
+
+The expert considers the cheapest grasps that the arm reaches both by full inverse kinematics and by the receiver's own
+stepwise control, which stalls near singular postures. The planner `omg` (Wang et al., RSS 2020) chooses among the best
+ones and plans a trajectory of waypoints 0.15 s apart.
 """
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from handover_marl.config import ARM_DOF, TABLE_HEIGHT
+from handover_marl.config import ARM_DOF, TABLE_HEIGHT, PandaConfig
+from handover_marl.datasets import Dataset
 from handover_marl.geometry.distance_field import load_object_sdf
-from handover_marl.geometry.panda import HALF_TURN, OPEN, PAD_DISTANCE
-from handover_marl.geometry.poses import compose, invert_pose
-from handover_marl.learning.imitation.gaddpg.scenarios import ImitationScenario
+from handover_marl.geometry.panda import OPEN, PAD_DISTANCE
+from handover_marl.geometry.poses import compose, inverse_transform_points, invert_pose
+from handover_marl.geometry.rotations import quaternions_from_euler
+from handover_marl.learning.grasp_selector import load_validated_grasps
 from handover_marl.learning.networks.approach_field import compute_approach_steps
 from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.planning.ik_solvers import make_ik_stepper
@@ -23,12 +31,30 @@ from handover_marl.planning.planner import OBJECT_PADDING, Planner, PlannerConfi
 from handover_marl.planning.robot_clearance import Spheres, compute_grasp_clearances, compute_gripper_corners
 from handover_marl.planning.trajectory_cost import Obstacle
 from handover_marl.policies.policy import PolicyContext
-from handover_marl.receivers.reactive.config import ReactiveConfig
-from handover_marl.receivers.reactive.grasp_contact import compute_hold_costs, load_graspable_object
 from handover_marl.receivers.reactive.grasps import compute_grasp_distances
+from handover_marl.simulation.camera.optics import WRIST_CAMERA
 
 Array = npt.NDArray[np.float64]
 
+# Distance from the initial position from which an object counts as moving (m).
+_MOVED = 0.02
+# Shares of scenarios with the object at the handover pose of a recording, and on the way there; in the others it is on
+# the table.
+_HANDOVER_POSE_SHARE, _ON_THE_WAY_SHARE = 0.65, 0.15
+# Standard deviations of the random displacement along each axis (m) and rotation about each axis (rad) of an object at
+# the handover pose or on the way there.
+_POSITION_STD, _ROTATION_STD = 0.04, 0.2
+# Largest random displacement of an object on the table along x and y (m); its rotation about the vertical is random.
+_TABLE_RANGE = 0.12
+# Share of scenarios with the arm at its start pose, where half of them have noise with a standard deviation (rad) on
+# every joint; in the others the arm observes the object from a random pose.
+_START_POSE_SHARE, _JOINT_STD = 0.6, 0.04
+# Smallest and largest distance of the robot's hand from the object at a random pose (m).
+_MIN_DISTANCE, _MAX_DISTANCE = 0.2, 0.5
+# Largest distance along each axis of the point at which the camera aims from the object's origin (m).
+_AIM_ERROR = 0.05
+# Share of scenarios in which a sphere occludes the object partly, and its smallest and largest radius (m).
+_OCCLUDED_SHARE, _OCCLUDER_RADII = 0.5, (0.03, 0.07)
 # Share of the way to its target that a joint covers in one decision: 150 steps with gain 0.01.
 _SETTLED_FRACTION = 1.0 - 0.99**150
 #: Number of decisions that should be left when the expert reaches a grasp: all, so that it is as fast as possible.
@@ -66,34 +92,115 @@ _CLEARANCE, _SWEEP, _CLEARANCE_COST = 0.01, 0.08, 20.0
 _TABLE_CLEARANCE, _TABLE_COST = 0.005, 3.0
 
 
-class KinematicArm:
-    """Kinematic model of the arm with lagging motors, controlled as the receiver `gaddpg` controls the arm.
-
-    Args:
-        context: Model and base pose of the robot.
-
-    Raises:
-        SimulationError: The robot's model cannot be loaded.
+@dataclass(frozen=True, eq=False)
+class ImitationScenario:
+    """Initial state of an imitation rollout: object, arm and occluding sphere.
 
     Attributes:
-        arm: Kinematics of the arm.
+        object_name: YCB class name of the object.
+        dof: (6,) float32 position xyz (m) and intrinsic XYZ Euler angles (rad) of the object in the world.
+        joints: (7,) positions of the arm joints (rad).
+        occluder: (4,) center in the world and radius of the occluding sphere (m); radius 0 for none.
     """
 
-    def __init__(self, context: PolicyContext) -> None:
-        self.arm = ArmInWorld.for_panda(context.panda_urdf, context.panda)
-        self._stepper = make_ik_stepper(context.panda_urdf, context.panda)
+    object_name: str
+    dof: npt.NDArray[np.float32]
+    joints: Array
+    occluder: Array
 
-    def compute_next_joints(self, joints: Array, step: Array) -> Array:
-        """Return the arm joints (7,) in rad 0.15 s after a decision that commands a motion of the Panda's hand link.
+    @property
+    def object_pose(self) -> Array:
+        """World pose (7,) of the object, quaternion xyzw."""
+        return np.concatenate([self.dof[:3], quaternions_from_euler(self.dof[3:])])
 
-        Args:
-            joints: (7,) present arm joints (rad).
-            step: (6,) commanded motion in the hand link's frame: translation (m) and extrinsic xyz Euler angles (rad).
-        """
-        rotation = Rotation.from_euler("xyz", step[3:]).as_quat()
-        target = compose(self.arm.compute_hand_pose(joints), np.concatenate([step[:3], rotation]))
-        solution = self._stepper.solve_step([*joints, OPEN, OPEN], target[:3], target[3:])[:ARM_DOF]
-        return np.clip(joints + _SETTLED_FRACTION * (solution - joints), *self.arm.limits)
+
+class ImitationScenarios:
+    """Sampler of random initial states (object, arm, occluding sphere) of imitation rollouts: `ImitationScenario`s.
+
+    Args:
+        data: Dataset of the scenes.
+        scenes: Numbers of the training scenes.
+        arm: Kinematics of the robot's arm.
+        panda: Base and start pose of the robot.
+        seed: Seed of all scenarios.
+    """
+
+    def __init__(self, data: Dataset, scenes: Sequence[int], arm: ArmInWorld, panda: PandaConfig, seed: int) -> None:
+        self._data, self._scenes, self._arm, self._seed = data, scenes, arm, seed
+        self._start = np.array(panda.start_joints[:ARM_DOF])
+        self._base = np.array(panda.base_position)
+
+    def sample(self, number: int) -> ImitationScenario:
+        """Return a random scenario; it depends only on the seed of the sampler and on `number`."""
+        rng = np.random.default_rng((self._seed, number))
+        scene = self._data.load_scene(self._scenes[int(rng.integers(len(self._scenes)))])
+        dof = self._sample_object_pose(scene.object_dof[:, 0], rng)
+        joints = self._sample_joints(dof[:3].astype(np.float64), rng)
+        radius = rng.uniform(*_OCCLUDER_RADII) if rng.random() < _OCCLUDED_SHARE else 0.0
+        # Off center, so that a part of the object stays visible.
+        direction = rng.standard_normal(3)
+        center = dof[:3] + direction / np.linalg.norm(direction) * rng.uniform(0.5, 1.5) * radius
+        return ImitationScenario(scene.info.target_name, dof, joints, np.array([*center, radius]))
+
+    def _sample_object_pose(self, path: npt.NDArray[np.float32], rng: np.random.Generator) -> npt.NDArray[np.float32]:
+        kind = rng.random()
+        if kind >= _HANDOVER_POSE_SHARE + _ON_THE_WAY_SHARE:  # on the table
+            turn = Rotation.from_rotvec([0.0, 0.0, rng.uniform(-np.pi, np.pi)])
+            rotation = turn * Rotation.from_euler("XYZ", path[0, 3:])
+            position = path[0, :3] + np.array([*rng.uniform(-_TABLE_RANGE, _TABLE_RANGE, 2), 0.0])
+            return np.concatenate([position, rotation.as_euler("XYZ")]).astype(np.float32)
+        dof = path[-1]
+        if kind >= _HANDOVER_POSE_SHARE:
+            moving = np.flatnonzero(np.linalg.norm(path[:, :3] - path[0, :3], axis=1) > _MOVED)
+            dof = path[int(rng.choice(moving))] if len(moving) else dof
+        rotation = Rotation.from_rotvec(rng.normal(0.0, _ROTATION_STD, 3)) * Rotation.from_euler("XYZ", dof[3:])
+        position = dof[:3] + rng.normal(0.0, _POSITION_STD, 3)
+        return np.concatenate([position, rotation.as_euler("XYZ")]).astype(np.float32)
+
+    def _sample_joints(self, position: Array, rng: np.random.Generator) -> Array:
+        if rng.random() >= _START_POSE_SHARE:
+            low, high = self._arm.limits
+            for _ in range(4):
+                goal = self._sample_viewing_pose(position, rng)
+                solutions, converged = self._arm.solve(goal[None], self._start[None], 60)
+                if converged[0]:
+                    return np.asarray(np.clip(solutions[0], low, high))
+        return np.asarray(self._start + rng.normal(0.0, _JOINT_STD, ARM_DOF) * (rng.random() < 0.5))
+
+    def _sample_viewing_pose(self, target: Array, rng: np.random.Generator) -> Array:
+        """Return a random world pose (7,) of the Panda's hand link that looks at a position (3,), nearly upright."""
+        direction = rng.standard_normal(3)
+        # On the side of the robot's base, 11 degrees above the horizontal.
+        to_base = self._base - target
+        to_base[2] = 0.2 * np.linalg.norm(to_base[:2])
+        if direction @ to_base < 0.0:
+            direction -= 2.0 * (direction @ to_base) / (to_base @ to_base) * to_base
+        distance = rng.uniform(_MIN_DISTANCE, _MAX_DISTANCE)
+        position = target + direction / np.linalg.norm(direction) * distance
+        z = target + rng.uniform(-_AIM_ERROR, _AIM_ERROR, 3) - position
+        z /= np.linalg.norm(z)
+        x = Rotation.from_quat(self._arm.compute_hand_pose(self._start)[3:]).as_matrix()[:, 0]
+        x = x - (x @ z) * z
+        x /= max(float(np.linalg.norm(x)), 1e-6)
+        rotation = Rotation.from_matrix(np.stack([x, np.cross(z, x), z], axis=1))
+        rotation = rotation * Rotation.from_rotvec([0.0, 0.0, rng.normal(0.0, 0.3)])
+        return np.concatenate([position, rotation.as_quat()])
+
+
+def find_occluded_points(points: npt.NDArray[np.float32], hand: Array, occluder: Array) -> npt.NDArray[np.bool_]:
+    """Return a mask (n,) of the points of a cloud that are inside a sphere or hidden behind it from the wrist camera.
+
+    Points (n, 3) are in the hand link's frame (m), whose world pose (7,) is `hand`; `occluder` (4,) has the center in
+    the world and the radius of the sphere (m); radius 0 occludes nothing.
+    """
+    camera = np.array(WRIST_CAMERA.position)
+    center = inverse_transform_points(hand, occluder[None, :3])[0] - camera
+    rays = points - camera
+    lengths = np.maximum((rays**2).sum(axis=1), 1e-12)
+    # Nearest point to the sphere's center on each segment from camera to point.
+    share = np.clip(rays @ center / lengths, 0.0, 1.0)
+    occluded: npt.NDArray[np.bool_] = np.linalg.norm(share[:, None] * rays - center, axis=1) < occluder[3]
+    return occluded
 
 
 class ExpertPlan(NamedTuple):
@@ -113,38 +220,41 @@ class ExpertPlan(NamedTuple):
         """Return the goal (7,) that is cheapest to reach from a world pose (7,), quaternion xyzw, of the hand link."""
         costs = self.costs + compute_grasp_distances(hand, self.goals, _ROTATION_COST, PAD_DISTANCE)
         costs[0] -= _SWITCH_MARGIN
-        chosen: Array = self.goals[int(np.argmin(costs))]
-        return chosen
+        return np.asarray(self.goals[int(np.argmin(costs))])
 
 
 _NO_PLAN = ExpertPlan(np.zeros((0, 7)), np.zeros(0), np.zeros((0, ARM_DOF)))
 
 
 class GraspExpert:
-    """Planner of the motions that the network of the receiver `gaddpg` imitates.
+    """Planner of the motions that the network of the receiver `gaddpg` imitates, and model of the arm that makes them.
 
     Args:
         context: Robot, and objects with their known grasps.
-        arm: Model of the arm as the receiver `gaddpg` controls it.
+
+    Attributes:
+        arm: Kinematics of the arm.
+
+    Raises:
+        SimulationError: The robot's model cannot be loaded.
     """
 
-    def __init__(self, context: PolicyContext, arm: KinematicArm) -> None:
-        self._context, self._arm = context, arm
-        panda = context.panda
-        self._world_from_base = np.array([*panda.base_position, *panda.base_orientation])
-        start = np.array(panda.start_joints[:ARM_DOF])
-        self._planner = Planner(context.panda_urdf, start, _PLANNER)
+    def __init__(self, context: PolicyContext) -> None:
+        self._context, panda = context, context.panda
+        self.arm = ArmInWorld.for_panda(context.panda_urdf, panda)
+        self._stepper = make_ik_stepper(context.panda_urdf, panda)
+        self._planner = Planner(context.panda_urdf, np.array(panda.start_joints[:ARM_DOF]), _PLANNER)
 
     def plan(self, scenario: ImitationScenario) -> ExpertPlan:
         """Return the expert's plan in a scenario; the plan has no goals if no grasp is reachable."""
-        goals, costs = self.find_goals(scenario.object_name, scenario.object_pose, scenario.joints, scenario.occluder)
+        goals, costs = self._find_goals(scenario)
         if not len(goals):
             return _NO_PLAN
-        approach = self._simulate_approach(scenario.joints, goals[0])
-        if self._compute_miss(approach[-1], goals[0]) > _MAX_MISS:
+        reached = self._simulate_approach(scenario.joints, goals[0])[-1]
+        if self._compute_miss(reached, goals[0]) > _MAX_MISS:
             return _NO_PLAN
         self._planner.set_start(scenario.joints)
-        base_from_world = invert_pose(self._world_from_base)
+        base_from_world = invert_pose(self.arm.base)
         sdf = load_object_sdf(self._context.find_object_urdf(scenario.object_name), OBJECT_PADDING)
         obstacle = Obstacle(sdf, compose(base_from_world, scenario.object_pose), OBJECT_PADDING)
         plan = self._planner.plan(compose(base_from_world, goals), [obstacle])
@@ -153,36 +263,6 @@ class GraspExpert:
         first = int(plan.goals.grasps[plan.chosen])
         order = np.array([first, *(number for number in range(len(goals)) if number != first)])
         return ExpertPlan(goals[order], costs[order] - costs.min(), plan.trajectory)
-
-    def find_goals(self, object_name: str, object_pose: Array, joints: Array, occluder: Array) -> tuple[Array, Array]:
-        """Return at most four reachable grasps of lowest cost, and their costs.
-
-        Args:
-            object_name: Class name of the object.
-            object_pose: (7,) world pose of the object, quaternion xyzw.
-            joints: (7,) present arm joints (rad).
-            occluder: (4,) world center and radius of the occluding sphere (m); radius 0 for none.
-
-        Returns:
-            (g, 7) world poses of the hand link, cheapest first if the distance from the present pose counts, and (g,)
-            costs (m) that exclude this distance.
-        """
-        poses, hold_costs = load_costed_grasps(self._context, object_name)
-        if not len(poses):
-            return np.zeros((0, 7)), np.zeros(0)
-        world, hand = compose(object_pose, poses), self._arm.arm.compute_hand_pose(joints)
-        grasp_costs = hold_costs + compute_grasp_costs(world, hand, occluder)
-        candidates = np.flatnonzero(self._are_reachable(world, joints))
-        candidates = candidates[np.argsort(grasp_costs[candidates], kind="stable")][:_N_CANDIDATES]
-        costs, best = np.full(len(world), np.inf), np.inf
-        for number in candidates:
-            # The cost of the approach is positive, so that more expensive grasps can be skipped.
-            if grasp_costs[number] < best + _MAX_EXCESS_COST:
-                costs[number] = grasp_costs[number] + self._compute_approach_cost(joints, world[number])
-                best = min(best, costs[number])
-        order = np.argsort(costs, kind="stable")[:_PLANNER_GOALS]
-        order = order[costs[order] < best + _MAX_EXCESS_COST]
-        return world[order], costs[order] - compute_grasp_distances(hand, world[order], _ROTATION_COST, PAD_DISTANCE)
 
     def compute_step(self, hand: Array, goal: Array, remaining: int) -> Array:
         """Return the motion (6,) of the Panda's hand link that one decision commands towards a goal grasp.
@@ -194,21 +274,56 @@ class GraspExpert:
             goal: (7,) world pose of the hand link at the grasp, quaternion xyzw.
             remaining: Number of remaining decisions.
         """
-        step: Array = compute_approach_steps(hand[None], goal[None], np.array([remaining]), EXPERT_SPARE_STEPS)[0]
-        return step
+        steps = compute_approach_steps(hand[None], goal[None], np.array([remaining]), EXPERT_SPARE_STEPS)
+        return np.asarray(steps[0])
+
+    def compute_next_joints(self, joints: Array, step: Array) -> Array:
+        """Return the arm joints (7,) in rad 0.15 s after a decision of the receiver `gaddpg`; the motors lag behind.
+
+        Args:
+            joints: (7,) present arm joints (rad).
+            step: (6,) commanded motion, as `compute_step` returns it.
+        """
+        rotation = Rotation.from_euler("xyz", step[3:]).as_quat()
+        target = compose(self.arm.compute_hand_pose(joints), np.concatenate([step[:3], rotation]))
+        solution = self._stepper.solve_step([*joints, OPEN, OPEN], target[:3], target[3:])[:ARM_DOF]
+        return np.clip(joints + _SETTLED_FRACTION * (solution - joints), *self.arm.limits)
+
+    def _find_goals(self, scenario: ImitationScenario) -> tuple[Array, Array]:
+        """Return at most four reachable grasps of lowest cost, and their costs.
+
+        Returns:
+            (g, 7) world poses of the hand link, cheapest first if the distance from the present pose counts, and (g,)
+            costs (m) that exclude this distance.
+        """
+        joints, names = scenario.joints, self._context.object_names
+        (object_class,) = (number for number, name in names.items() if name == scenario.object_name)
+        grasps = load_validated_grasps(self._context, object_class)
+        if grasps is None:
+            return np.zeros((0, 7)), np.zeros(0)
+        world, hand = compose(scenario.object_pose, grasps[0]), self.arm.compute_hand_pose(joints)
+        grasp_costs = _PACE * grasps[1] + _compute_grasp_costs(world, hand, scenario.occluder)
+        candidates = np.flatnonzero(self._are_reachable(world, joints))
+        candidates = candidates[np.argsort(grasp_costs[candidates], kind="stable")][:_N_CANDIDATES]
+        costs, best = np.full(len(world), np.inf), np.inf
+        for number in candidates:
+            # The cost of the approach is positive, so that more expensive grasps can be skipped.
+            if grasp_costs[number] < best + _MAX_EXCESS_COST:
+                path = self._simulate_approach(joints, world[number])
+                miss = max(0.0, self._compute_miss(path[-1], world[number]) - _TOLERANCE)
+                costs[number] = grasp_costs[number] + _DECISION_COST * len(path) + _MISS_COST * miss
+                best = min(best, costs[number])
+        order = np.argsort(costs, kind="stable")[:_PLANNER_GOALS]
+        order = order[costs[order] < best + _MAX_EXCESS_COST]
+        return world[order], costs[order] - compute_grasp_distances(hand, world[order], _ROTATION_COST, PAD_DISTANCE)
 
     def _are_reachable(self, goals: Array, joints: Array) -> npt.NDArray[np.bool_]:
         """Return whether the arm reaches n goals and their standoffs from joints (7,) in similar postures, (n,)."""
         standoffs = compose(goals, np.array([0.0, 0.0, -_STANDOFF, 0.0, 0.0, 0.0, 1.0]))
-        before, standoff_found = self._arm.arm.solve(standoffs, np.tile(joints, (len(goals), 1)), 30)
-        after, goal_found = self._arm.arm.solve(goals, before, 15)
+        before, standoff_found = self.arm.solve(standoffs, np.tile(joints, (len(goals), 1)), 30)
+        after, goal_found = self.arm.solve(goals, before, 15)
         similar: npt.NDArray[np.bool_] = np.abs(after - before).max(axis=1) < _MAX_JOINT_CHANGE
         return standoff_found & goal_found & similar
-
-    def _compute_approach_cost(self, joints: Array, goal: Array) -> float:
-        """Return the cost (m) of the decisions and the final distance of a simulated approach from joints to a goal."""
-        path = self._simulate_approach(joints, goal)
-        return _DECISION_COST * len(path) + _MISS_COST * max(0.0, self._compute_miss(path[-1], goal) - _TOLERANCE)
 
     def _simulate_approach(self, joints: Array, goal: Array) -> list[Array]:
         """Simulate an approach from joints (7,) to a world pose (7,); return the joints before and after decisions."""
@@ -216,44 +331,20 @@ class GraspExpert:
         for remaining in range(_MAX_DECISIONS, 0, -1):
             if self._compute_miss(path[-1], goal) < _TOLERANCE:
                 break
-            hand = self._arm.arm.compute_hand_pose(path[-1])
-            path.append(self._arm.compute_next_joints(path[-1], self.compute_step(hand, goal, remaining)))
+            hand = self.arm.compute_hand_pose(path[-1])
+            path.append(self.compute_next_joints(path[-1], self.compute_step(hand, goal, remaining)))
         return path
 
     def _compute_miss(self, joints: Array, goal: Array) -> float:
         """Return the distance (m), with the weighted rotation, of the hand link from a goal (7,) at arm joints (7,)."""
-        hand = self._arm.arm.compute_hand_pose(joints)
+        hand = self.arm.compute_hand_pose(joints)
         return float(compute_grasp_distances(goal, hand[None], _ROTATION_WEIGHT, PAD_DISTANCE)[0])
 
 
-def load_costed_grasps(context: PolicyContext, object_name: str) -> tuple[Array, Array]:
-    """Return the validated grasps of an object class, with their copies rotated by half a turn, and their costs.
+def _compute_grasp_costs(world: Array, hand: Array, occluder: Array) -> Array:
+    """Return the costs (n,) in m of moving the hand link from a pose (7,) to n world poses (n, 7), quaternions xyzw.
 
-    Args:
-        context: Known grasps of the objects, and the robot with which they are validated.
-        object_name: Class name of the object.
-
-    Returns:
-        (n, 7) poses (quaternion xyzw) of the hand link in the object's frame, and (n,) costs (m), higher the less
-        likely a grasp holds the object; n may be 0.
-
-    Raises:
-        SimulationError: The object's model cannot be loaded.
-    """
-    surface = ReactiveConfig(n_surface_spheres=150, surface_radius=0.004, n_surface_points=2000)
-    found = load_graspable_object(context, object_name, surface)
-    costs = _PACE * compute_hold_costs(found.grasps, found.pad_margins, surface.selection)
-    poses = found.grasps.poses
-    return np.concatenate([poses, compose(poses, np.array(HALF_TURN))]), np.tile(costs, 2)
-
-
-def compute_grasp_costs(world: Array, hand: Array, occluder: Array) -> Array:
-    """Return the costs (n,) in m of moving the hand link to n grasps, higher near the occluder or the table.
-
-    Args:
-        world: (n, 7) world poses of the hand link at the grasps, quaternions xyzw.
-        hand: (7,) present world pose of the hand link, quaternion xyzw.
-        occluder: (4,) world center and radius of the occluding sphere (m); radius 0 for none.
+    They are higher near the table, and near the occluding sphere: `occluder` (4,) has its world center and radius (m).
     """
     behind = compose(world, np.array([0.0, 0.0, -_SWEEP, 0.0, 0.0, 0.0, 1.0]))
     heights = np.minimum(*(compute_gripper_corners(poses)[..., 2].min(axis=1) for poses in (world, behind)))

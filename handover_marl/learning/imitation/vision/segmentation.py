@@ -15,7 +15,7 @@ from torch import Tensor
 
 from handover_marl.datasets.dataset import Scene
 from handover_marl.geometry.panda import OPEN
-from handover_marl.learning.imitation.learner import ImitationLearner
+from handover_marl.learning.imitation.run import ImitationLearner
 from handover_marl.learning.imitation.samples import stack_samples
 from handover_marl.learning.imitation.vision.views import RecordedViewRenderer, read_object_pose
 from handover_marl.learning.networks.segmentation_network import N_CLASSES, SegmentationNetwork
@@ -73,9 +73,9 @@ class SegmentationRenderer(RecordedViewRenderer):
         Raises:
             SimulationError, DataFormatError: A model or one of its meshes cannot be read.
         """
-        rng, scene = np.random.default_rng((self._config.seed, number)), self._data.load_scene(number)
+        rng, scene = np.random.default_rng((self._seed, number)), self._data.load_scene(number)
         camera = RayCamera(scene.assets, self._context.config.physics)
-        views = [self._render_view(scene, camera, rng) for _ in range(self._config.count)]
+        views = [self._render_view(scene, camera, rng) for _ in range(self._count)]
         shape = (WRIST_CAMERA.height, WRIST_CAMERA.width)
         columns = [(np.uint8, (*shape, 3)), (np.float16, shape), (np.float16, shape), (np.uint8, shape)]
         return stack_samples(SegmentationViews, views, columns)

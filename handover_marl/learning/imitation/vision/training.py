@@ -14,7 +14,7 @@ from torch import Tensor
 
 from handover_marl.geometry.panda import PAD_DISTANCE
 from handover_marl.geometry.rotations import matrices_from_quaternions
-from handover_marl.learning.imitation.learner import ImitationLearner
+from handover_marl.learning.imitation.run import ImitationLearner
 from handover_marl.learning.imitation.vision.views import GraspViews
 from handover_marl.learning.networks.grasp_network import GraspNetwork, GraspOutputs, PointCloudBatch
 

@@ -6,9 +6,8 @@ terms that depend on the arm: whether the grasp held in simulation, how well the
 clearance to the hand. Next to a hand, offset copies of the grasps are candidates too. Quaternions are xyzw.
 """
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,13 +15,13 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from handover_marl.config import ARM_DOF
-from handover_marl.datasets import open_dataset
+from handover_marl.datasets import Dataset
 from handover_marl.datasets.dataset import Scene
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import OPEN, WAITING_JOINTS
 from handover_marl.geometry.poses import compose, inverse_transform_points, invert_pose, transform_points
 from handover_marl.geometry.rotations import quaternions_from_euler
-from handover_marl.learning.imitation.samples import generate_samples, join_samples, stack_samples
+from handover_marl.learning.imitation.samples import stack_samples
 from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.planning.hand_tracker import HandTracker
 from handover_marl.planning.robot_clearance import Spheres, compute_grasp_clearances
@@ -69,27 +68,6 @@ _PICKUP_DISTANCE = 0.03
 # Time before a frame over which the object's velocity is averaged, and after it over which its displacement is
 # measured (ms).
 _VELOCITY_WINDOW, _MOTION_WINDOW = 50, 500
-
-
-@dataclass(frozen=True)
-class GraspViewConfig:
-    """Configuration of the rendered views of a set of scenes.
-
-    Attributes:
-        dataset: Name of the data set, see `handover_marl.datasets.open_dataset`.
-        data_dir: Folder in HandoverSim's layout; default: environment variable HANDOVER_MARL_DATA.
-        robot: Robot model that carries the camera: panda or panda_camera.
-        count: Number of views to render per scene; views that show too little of the object are discarded.
-        seed: Seed of all random numbers.
-        reactive: Configuration of the receiver `reactive`, whose costs of grasps are used.
-    """
-
-    dataset: str = "auto"
-    data_dir: str | None = None
-    robot: str = "panda_camera"
-    count: int = 100
-    seed: int = 0
-    reactive: ReactiveConfig = field(default_factory=ReactiveConfig)
 
 
 class GraspViews(NamedTuple):
@@ -152,16 +130,14 @@ class RecordedViewRenderer:
     """Base class of renderers of wrist-camera views of recorded scenes.
 
     Args:
-        config: Data set, number of the views per scene, and costs of grasps.
-
-    Raises:
-        HandoverError: The dataset cannot be opened.
+        data: Data set of the scenes, with the robot that carries the camera.
+        count: Number of views to render per scene.
+        seed: Seed of all random numbers.
     """
 
-    def __init__(self, config: GraspViewConfig) -> None:
-        self._config = config
-        self._data = open_dataset(config.dataset, config.data_dir, config.robot)
-        self._context = make_policy_context(self._data)
+    def __init__(self, data: Dataset, count: int, seed: int) -> None:
+        self._data, self._count, self._seed = data, count, seed
+        self._context = make_policy_context(data)
         self._arm = ArmInWorld.for_panda(self._context.panda_urdf, self._context.panda, LIMIT_PADDING)
 
     def draw_waiting_joints(self, noise_std: float, rng: Rng) -> Array:
@@ -184,7 +160,17 @@ class ViewRenderer(RecordedViewRenderer):
     """Renderer of wrist-camera views of recorded scenes, labelled with good grasps.
 
     Grasps are validated in simulation at first use.
+
+    Args:
+        data: Data set of the scenes, with the robot that carries the camera.
+        count: Number of views to render per scene; those that show too little of the object are discarded.
+        seed: Seed of all random numbers.
+        reactive: Configuration of the receiver `reactive`, whose costs of grasps are used.
     """
+
+    def __init__(self, data: Dataset, count: int, seed: int, reactive: ReactiveConfig | None = None) -> None:
+        super().__init__(data, count, seed)
+        self._reactive = reactive or ReactiveConfig()
 
     def render_scene(self, number: int) -> GraspViews:
         """Return random views of the scene with a number; views with few object points are discarded.
@@ -194,8 +180,8 @@ class ViewRenderer(RecordedViewRenderer):
             DataFormatError: A mesh of a model cannot be read.
         """
         # Seeded by the scene, so that files do not depend on the number of processes.
-        rng, scene = np.random.default_rng((self._config.seed, number)), self._data.load_scene(number)
-        frames = _sample_frames(scene, self._config.count, rng).tolist()
+        rng, scene = np.random.default_rng((self._seed, number)), self._data.load_scene(number)
+        frames = _sample_frames(scene, self._count, rng).tolist()
         labelled = self.label_frames(scene, frames)
         poses = ((labelled[frame], self._sample_joints(labelled[frame], rng)) for frame in frames)
         return self.render(scene, poses, rng)
@@ -221,7 +207,7 @@ class ViewRenderer(RecordedViewRenderer):
             hand: Spheres that cover the person's hand in the world; None adds no copies.
             object_pose: (7,) pose of the object in the world, quaternion xyzw.
         """
-        config = self._config.reactive
+        config = self._reactive
         found = load_graspable_object(self._context, object_name, config)
         poses, costs = found.grasps.poses, compute_hold_costs(found.grasps, found.pad_margins, config.selection)
         if hand is None or not len(poses):
@@ -243,7 +229,7 @@ class ViewRenderer(RecordedViewRenderer):
                 grasps with little clearance to it, and 0 for those with less than 3 mm.
             object_pose: (7,) pose of the object in the world, quaternion xyzw.
         """
-        config, costs = self._config.reactive, grasps.costs
+        config, costs = self._reactive, grasps.costs
         if hand is None or not len(costs):
             return np.exp(-costs / _COST_SCALE)
         in_object = hand.transform_to_frame(object_pose)
@@ -303,27 +289,6 @@ class ViewRenderer(RecordedViewRenderer):
             return start
         is_between = kind < _WAITING_POSE_SHARE + _BETWEEN_SHARE
         return start + rng.random() * (joints - start) if is_between else joints
-
-
-def generate_views(config: GraspViewConfig, scenes: Sequence[int], folder: Path, workers: int | None) -> GraspViews:
-    """Return the views of scenes in the order of the scenes; render the views of scenes that have no file yet.
-
-    Args:
-        config: Configuration of the views.
-        scenes: Numbers of the scenes.
-        folder: Folder of the files, one per scene, for one configuration only.
-        workers: Number of processes, on which the views do not depend; default: one per core.
-
-    Raises:
-        DataNotFoundError: `scenes` is empty.
-        ResultsError: The folder cannot be written, or a file is damaged.
-        HandoverError: A scene cannot be read.
-    """
-
-    def make_renderer() -> Callable[[int], GraspViews]:
-        return ViewRenderer(config).render_scene
-
-    return join_samples(generate_samples(GraspViews, folder, scenes, make_renderer, "rendering views", workers))
 
 
 def _read_motion(scene: Scene, frame: int) -> tuple[Array, Array]:

@@ -13,13 +13,8 @@ pytest.importorskip("embreex", reason="needs the extra `vision`")
 
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import OptionError
-from handover_marl.learning.imitation.gaddpg.data_generation import (
-    DataGenerator,
-    DataGeneratorConfig,
-    RolloutTask,
-    list_shared_scenes,
-)
-from handover_marl.learning.imitation.learner import ImitationLearner
+from handover_marl.learning.imitation.gaddpg.data_generation import DataGenerator, list_shared_scenes
+from handover_marl.learning.imitation.run import ImitationLearner
 from handover_marl.receivers import make
 from tests.helpers.short_episodes import shorten_episodes
 from tests.learning.training.scripts import evaluate_hold, script
@@ -61,20 +56,17 @@ def test_interrupted_run_is_resumed(
 
 @pytest.mark.slow
 def test_states_depend_on_the_seed_only() -> None:
-    generator = DataGenerator(DataGeneratorConfig(SCENES[:1], "synthetic"))
+    data = SyntheticDataset(robot="panda_camera")
+    generator, other = (DataGenerator(data, SCENES[:1], 0) for _ in range(2))
     plans = {number: plan for number in range(3) if len((plan := generator.plan(number)).goals)}
-    both, other = (
-        generator.collect_states(RolloutTask(list(plans), list(plans.values()), repetition), None)
-        for repetition in (0, 1)
-    )
-    single = [generator.collect_states(RolloutTask([number], [plan], 0), None) for number, plan in plans.items()]
-    assert len(single) > 1
-    for part, *parts in zip(both, *single, strict=True):
-        # Rollouts of a task are in lockstep, so its states have another order.
-        rows, alone = (np.unique(states.reshape(len(states), -1), axis=0) for states in (part, np.concatenate(parts)))
-        np.testing.assert_array_equal(rows, alone)
-    assert set(both.remaining.tolist()) <= set(range(1, 21))
-    assert len(other.remaining) != len(both.remaining) or not np.array_equal(other.goals, both.goals)
+    found = {number: generator.collect_states(number, plan, 0, None) for number, plan in plans.items()}
+    assert len(found) > 1
+    for number, plan in reversed(plans.items()):
+        for part, same in zip(found[number], other.collect_states(number, plan, 0, None), strict=True):
+            np.testing.assert_array_equal(part, same)
+        assert set(found[number].remaining.tolist()) <= set(range(1, 21))
+        again = other.collect_states(number, plan, 1, None)
+        assert len(again.goals) != len(found[number].goals) or not np.array_equal(again.goals, found[number].goals)
 
 
 def test_shared_scenes_are_in_all_training_splits(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,5 +1,6 @@
 """Tests of rendered views with good grasps: geometry, qualities of grasps, and files."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -9,14 +10,13 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.datasets import open_dataset
 from handover_marl.errors import DataNotFoundError
-from handover_marl.learning.imitation.samples import get_samples_path
+from handover_marl.learning.imitation.samples import generate_samples, get_samples_path, join_samples
 from handover_marl.learning.imitation.vision.training import find_enclosed_centers, grasp_targets_from_poses
 from handover_marl.learning.imitation.vision.views import (
     MAX_OFFSET_GRASPS,
     MIN_QUALITY,
-    GraspViewConfig,
+    GraspViews,
     ViewRenderer,
-    generate_views,
     read_hand_spheres,
     read_object_pose,
 )
@@ -32,7 +32,7 @@ LAST = SCENE.n_frames - 1
 
 @pytest.fixture(scope="module")
 def renderer() -> ViewRenderer:
-    return ViewRenderer(GraspViewConfig("synthetic", count=12, reactive=QUICK_REACTIVE))
+    return ViewRenderer(DATA, 12, 0, QUICK_REACTIVE)
 
 
 @pytest.mark.slow
@@ -81,14 +81,18 @@ def test_hand_lowers_qualities_and_offset_grasps_are_clear_of_it(renderer: ViewR
 
 @pytest.mark.slow
 def test_files_do_not_depend_on_other_scenes_and_are_kept(tmp_path: Path) -> None:
-    source, scenes = GraspViewConfig("synthetic", count=2, reactive=QUICK_REACTIVE), (9, 8)
-    renderer = ViewRenderer(source)
-    reverse = [renderer.render_scene(scene) for scene in reversed(scenes)]
-    for part, *parts in zip(generate_views(source, scenes, tmp_path, 1), *reversed(reverse), strict=True):
+    def make_renderer() -> Callable[[int], GraspViews]:
+        return ViewRenderer(DATA, 2, 0, QUICK_REACTIVE).render_scene
+
+    def load_views(scenes: tuple[int, ...]) -> GraspViews:
+        return join_samples(generate_samples(GraspViews, tmp_path, scenes, make_renderer, "rendering", 1))
+
+    reverse = list(map(make_renderer(), (8, 9)))
+    for part, *parts in zip(load_views((9, 8)), *reversed(reverse), strict=True):
         np.testing.assert_array_equal(part, np.concatenate(parts))
     kept = get_samples_path(tmp_path, 9)
     before = kept.stat().st_mtime_ns
-    generate_views(source, scenes, tmp_path, 1)
+    load_views((9, 8))
     assert kept.stat().st_mtime_ns == before
     with pytest.raises(DataNotFoundError, match="a training needs samples, got none"):
-        generate_views(source, (), tmp_path, 1)
+        load_views(())

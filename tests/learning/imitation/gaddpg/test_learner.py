@@ -1,4 +1,4 @@
-"""Tests of training GA-DDPG's network on stored groups: equality with the deployed network, losses, resuming."""
+"""Tests of training GA-DDPG's network: augmented states, losses and resuming."""
 
 import numpy as np
 import pytest
@@ -6,42 +6,38 @@ from scipy.spatial.transform import Rotation
 
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
 
-from handover_marl.learning.imitation.gaddpg.data_generation import ImitationStates, stack_states  # noqa: E402
+from handover_marl.learning.imitation.gaddpg.data_generation import ImitationStates  # noqa: E402
 from handover_marl.learning.imitation.gaddpg.training import (  # noqa: E402
     GaddpgLearner,
     ImitationBatches,
     compute_action_losses,
     compute_goal_losses,
-    encode_batch,
 )
 from handover_marl.learning.networks.gaddpg_network import GaddpgNetwork  # noqa: E402
 
 
-def draw_states() -> tuple[ImitationStates, np.ndarray]:
-    """Return states of four clouds, and the receiver's clouds (4, 4, 1024): the points, then some of them again."""
-    rng, rows, filled = np.random.default_rng(0), [], np.zeros((4, 4, 1024), dtype=np.float32)
-    for number, (count, size) in enumerate(((3, 0.05), (40, 0.1), (700, 0.03), (1024, 0.12))):
-        points = (rng.uniform(-size, size, (count, 3)) + np.array([0.0, 0.0, 0.3])).astype(np.float16)
-        goal = np.array([*rng.uniform(-0.1, 0.3, 3), *Rotation.random(random_state=0).as_quat()])
-        rows.append((points, goal, 9))
-        filled[number, :3] = points[np.r_[:count, rng.integers(count, size=1024 - count)]].T
-    return stack_states(rows), filled
+def draw_states() -> ImitationStates:
+    """Return states of four clouds: the points, then some of them again."""
+    rng, goals, clouds = np.random.default_rng(0), [], []
+    for count, size in ((3, 0.05), (40, 0.1), (700, 0.03), (1024, 0.12)):
+        points = rng.uniform(-size, size, (count, 3)) + np.array([0.0, 0.0, 0.3])
+        clouds.append(points[np.r_[:count, rng.integers(count, size=1024 - count)]])
+        goals.append([*rng.uniform(-0.1, 0.3, 3), *Rotation.random(random_state=0).as_quat()])
+    return ImitationStates(np.float16(clouds), np.float32(goals), np.full(4, 9, np.int32))
 
 
-def test_grouped_network_equals_the_network() -> None:
-    states, clouds = draw_states()
-    torch.manual_seed(0)
-    network = GaddpgNetwork().eval()
-    for module in network.modules():
-        if isinstance(module, (torch.nn.BatchNorm1d, torch.nn.BatchNorm2d)):
-            module.running_mean.normal_(0.0, 0.1)
-            module.running_var.uniform_(0.5, 1.5)
-    with torch.no_grad():
-        whole = network(torch.from_numpy(clouds), torch.full((4,), 9.0))
-        batch = ImitationBatches(states, max_neighbors=64).select(np.arange(4), None)
-        grouped = network.policy(encode_batch(network.features, batch), batch.remaining)
-    torch.testing.assert_close(grouped.action, whole.action, atol=1e-5, rtol=1e-4)
-    torch.testing.assert_close(grouped.goal, whole.goal, atol=1e-5, rtol=1e-4)
+def test_augmented_states_are_the_same_ones_from_another_pose_of_the_hand() -> None:
+    """Distances between points and grasp remain, and the expert's step follows from the changed counter."""
+    batches, numbers = ImitationBatches(draw_states()), np.arange(4)
+    stored, moved = (batches.select(numbers, rng) for rng in (None, np.random.default_rng(0)))
+    for one in (stored, moved):
+        assert [part.shape for part in one] == [(4, 4, 1024), (4,), (4, 6), (4, 7)]
+        assert not one.clouds[:, 3].any()
+    ranges = [(one.clouds[:, :3] - one.goals[:, :3, None]).norm(dim=1) for one in (stored, moved)]
+    torch.testing.assert_close(*ranges, atol=1e-5, rtol=0.0)
+    assert (stored.goals - moved.goals)[:, :3].norm(dim=1).min() > 1e-3
+    assert set(stored.remaining.tolist()) == {9.0}
+    assert set(moved.remaining.tolist()) <= set(range(1, 21))
 
 
 def test_losses_are_in_metres_and_goals_equal_up_to_a_rotation_by_pi() -> None:
@@ -57,8 +53,7 @@ def test_losses_are_in_metres_and_goals_equal_up_to_a_rotation_by_pi() -> None:
 
 @pytest.mark.slow
 def test_resumed_learner_continues_exactly(monkeypatch: pytest.MonkeyPatch) -> None:
-    threads, (states, _) = torch.get_num_threads(), draw_states()
-    batches = ImitationBatches(states)
+    threads, batches = torch.get_num_threads(), ImitationBatches(draw_states())
     monkeypatch.setattr(GaddpgLearner, "use_bfloat16", False)
     monkeypatch.setattr(GaddpgLearner, "warmup", 1)
 
