@@ -17,11 +17,10 @@ from handover_marl.geometry.poses import compose, invert_pose
 
 Array = npt.NDArray[np.float64]
 
-_PICK_UP_DISTANCE = 0.005  # m, as in the giver's motion
-_CLOSING_TIME = 0.4  # s
-_MIN_TOUCHING = 2  # digits
-_N_OPENINGS, _MAX_CLOSED = 1500, 200  # postures, and postures whose fingers are closed
-#: Largest distance (m) by which a recorded wrist is moved.
+_PICK_UP_DISTANCE, _CLOSING_TIME = 0.005, 0.4  # m, as in the giver's motion; s
+# Digits that touch the object; numbers of postures, and of postures whose fingers are closed.
+_MIN_TOUCHING, _N_OPENINGS, _MAX_CLOSED = 2, 1500, 200
+#: Largest distance by which a recorded wrist is moved (m).
 MAX_SHIFT = 0.021
 _MAX_PALM_OVERLAP = 0.004  # m
 _MIRROR = np.array([-1.0, 1.0, 1.0])
