@@ -17,8 +17,6 @@ from handover_marl.execution.reading import check_plain_file, report_damage
 from handover_marl.geometry.model_files.meshes import compute_convex_hull, decompose_convex
 from handover_marl.geometry.model_files.obj_files import read_obj
 
-Array = npt.NDArray[np.float64]
-
 # Smallest and largest mass (kg), largest extent of an object, and distance of its centre from its frame's origin (m).
 _MASS, _EXTENT, _MAX_OFFSET = (1e-3, 20.0), (0.005, 0.7), 0.7
 #: Metres in each unit of length.
