@@ -76,7 +76,7 @@ def look_up(key: str) -> None:
         (lambda options: make_env().reset(options=options), {"scene": 105}, OptionError, "'scene_id', got .'scene'"),
         (step, {"receiver": [0.0] * 9}, ActionError, "action of the giver must be 8 numbers, .* got None"),
         (lambda size: givers.make_giver_action(displacement=[0.0] * size), 2, ActionError, "displacement must be 3"),
-        (check_receiver_action, None, ActionError, "got None; return them from the policy"),
+        (check_receiver_action, None, ActionError, "got None; pass or return one for each agent"),
         (look_up, "nope", PolicyError, "KeyError: 'nope'; the observation has time"),
     ],
     ids=lambda value: str(value)[:20],

@@ -327,8 +327,8 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
             return int(rng.choice(self.scene_ids))
         if not isinstance(scene_id, (int, np.integer)) or scene_id not in self.scene_ids:
             raise SceneError(
-                f"scene_id must be one of the {len(self.scene_ids)} scenes of {self.config.setup} {self.config.split}, "
-                f"{self.scene_ids[0]} to {self.scene_ids[-1]}, got {scene_id!r}; env.scene_ids lists them"
+                f"scene_id must be in env.scene_ids, the {len(self.scene_ids)} scenes of {self.config.setup} "
+                f"{self.config.split}, got {scene_id!r}; choose another scene, or the setup and split that have it"
             )
         return int(scene_id)
 

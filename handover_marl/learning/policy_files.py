@@ -176,6 +176,6 @@ def _read_npz(path: Path, content: bytes) -> tuple[dict[str, Any], DenseNetwork]
         raise DataFormatError(f"{path}: {error}") from error
     except Exception as error:  # NumPy and zipfile raise exceptions of many types on damaged files
         raise DataFormatError(
-            f"{path}: not a policy file of handover_marl ({shorten_text(error)}); "
-            "handover_marl.export_policy and training scripts write them, and result files have no policy"
+            f"{path}: not a policy file of handover_marl, or damaged ({shorten_text(error)}); copy it again, or give a "
+            "file of handover_marl.export_policy or of a training script"
         ) from error

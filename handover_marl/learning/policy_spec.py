@@ -113,10 +113,13 @@ class DenseNetwork:
         width = None
         for number, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             if weight.ndim != 2 or bias.shape != weight.shape[:1] or width not in (None, weight.shape[1]):
-                raise DataFormatError(f"layer {number} with shapes {weight.shape} and {bias.shape} does not fit")
+                raise DataFormatError(
+                    f"layer {number} must have weights (m, {width or 'n'}) and biases (m,), got shapes {weight.shape} "
+                    f"and {bias.shape}; export the policy again"
+                )
             xp, width = get_namespace(weight), weight.shape[0]
             if not (xp.isfinite(weight).all() and xp.isfinite(bias).all()):
-                raise DataFormatError(f"layer {number} has numbers that are not finite")
+                raise DataFormatError(f"layer {number} must have finite numbers only; export another policy")
         ends: list[tuple[AnyArray, int]] = []
         ends += [(self.normalization.mean, self.n_inputs)] if self.normalization is not None else []
         ends += [(self.bounds.low, self.n_outputs)] if self.bounds is not None else []

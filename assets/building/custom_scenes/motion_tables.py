@@ -145,13 +145,18 @@ def _read_file(path: Path, config: MotionConfig) -> tuple[dict[str, Any], Motion
     # Columns of quaternions have names.
     config = replace(config, quaternion="xyzw")
     is_motive = text.startswith("Format Version,")
+    if not is_motive and "Rigid Body" in text:
+        raise DataFormatError(
+            f"{path}: a file of Motive must start with its line 'Format Version,...', got "
+            f"{shorten_text(text.partition(chr(10))[0])!r}; export it again with all header lines"
+        )
     return _parse_motive(path, text, config) if is_motive else (_parse_csv(path, text), config)
 
 
 def _parse_motive(path: Path, text: str, config: MotionConfig) -> tuple[dict[str, Any], MotionConfig]:
     """Return times and rigid bodies' poses (T, 7) in a CSV file of Motive, formats 1.2 to 1.25, and its units."""
-    lines = [line for line in text.splitlines() if line.strip(", ")]
-    rows = list(csv.reader(lines))
+    lines = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip(", ")]
+    rows = list(csv.reader(line for _, line in lines))
     settings = dict(zip(rows[0][::2], rows[0][1::2], strict=False))
     for key, valid in (("Rotation Type", ("Quaternion",)), ("Length Units", tuple(_MOTIVE_LENGTHS))):
         if settings.get(key) not in valid:
@@ -163,7 +168,7 @@ def _parse_motive(path: Path, text: str, config: MotionConfig) -> tuple[dict[str
         first = 1 + next(number for number, row in enumerate(rows) if row[0] == "Frame")
         # Lines of type, name and ID of the columns, in newer formats of the parent, then of the part and the axis.
         columns = [*zip(rows[1], rows[2], rows[first - 2], rows[first - 1], strict=True)]
-        values = _parse_rows(path, lines[first:], ",")
+        values = _parse_rows(path, lines[first:], ",", [" ".join(parts[1:]) for parts in columns])
         arrays: dict[str, Any] = {TIME: values[:, 1]}
         for name in dict.fromkeys(name for kind, name, *_ in columns if kind == "Rigid Body"):
             keys = [("Position", axis) for axis in "XYZ"] + [("Rotation", axis) for axis in "XYZW"]
@@ -183,18 +188,16 @@ def _parse_csv(path: Path, text: str) -> dict[str, Any]:
 
     Cells are separated by commas, or by semicolons or tabs, which allow decimal commas.
     """
-    lines = [line for line in text.splitlines() if line.strip() and not line.startswith(("#", "sep="))]
+    lines = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip()]
+    lines = [(number, line) for number, line in lines if not line.startswith(("#", "sep="))]
     if len(lines) < 2:
         raise DataFormatError(f"{path}: the file {'has no rows' if lines else 'is empty'}; export it again")
-    separator = max(",", ";", "\t", key=lines[0].count)
-    header = [cell.strip() for cell in lines[0].split(separator)]
-    values = _parse_rows(path, lines[1:], separator)
-    columns = dict(zip(header, values.T, strict=False))
-    if not len(columns) == len(header) == values.shape[1]:
-        raise DataFormatError(
-            f"{path}: the header must have a different name for each of {values.shape[1]} columns, got "
-            f"{shorten_text(', '.join(header))}; correct it"
-        )
+    separator = max(",", ";", "\t", key=lines[0][1].count)
+    header = [cell.strip() for cell in lines[0][1].split(separator)]
+    columns = dict(zip(header, _parse_rows(path, lines[1:], separator, header).T, strict=True))
+    if len(columns) < len(header):
+        twice = next(name for name in header if header.count(name) > 1)
+        raise DataFormatError(f"{path}: column {shorten_text(twice)!r} must be there once, got it twice; rename one")
 
     def take(names: Sequence[str]) -> Array:
         missing = [name for name in names if name not in columns]
@@ -219,16 +222,28 @@ def _parse_csv(path: Path, text: str) -> dict[str, Any]:
     return arrays
 
 
-def _parse_rows(path: Path, lines: Sequence[str], separator: str) -> Array:
-    """Return the numbers in lines of cells; empty cells are NaN."""
+def _parse_rows(path: Path, lines: Sequence[tuple[int, str]], separator: str, columns: Sequence[str]) -> Array:
+    """Return the numbers (T, c) in lines, each given after its number in the file; empty cells are NaN.
 
-    def parse(cell: str) -> float:
-        return float(cell.replace(",", ".").strip() or "nan")
-
-    try:
-        return np.loadtxt(lines, delimiter=separator, converters=parse, comments=None, ndmin=2)
-    except ValueError as error:
-        raise DataFormatError(f"{path}: below the header, {error}; correct the cell or leave it empty") from None
+    Raises:
+        DataFormatError: A line has more or fewer cells than there are `columns`, or a cell is not a number.
+    """
+    values = np.empty((len(lines), len(columns)))
+    for row, (number, line) in enumerate(lines):
+        cells = line.split(separator)
+        if len(cells) != len(columns):
+            raise DataFormatError(
+                f"{path}: line {number} must have {len(columns)} cells, got {len(cells)}; export it again"
+            )
+        for column, cell in enumerate(cells):
+            try:
+                values[row, column] = float(cell.replace(",", ".").strip() or "nan")
+            except ValueError:
+                raise DataFormatError(
+                    f"{path}: column {shorten_text(columns[column])!r} must be a number in line {number}, got "
+                    f"{shorten_text(cell)!r}; correct it, or leave it empty if the body was not tracked"
+                ) from None
+    return values
 
 
 def _make_table(arrays: Mapping[str, Any], config: MotionConfig) -> MotionTable:

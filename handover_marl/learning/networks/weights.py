@@ -125,7 +125,10 @@ def read_network_weights(path: str | Path, network_class: type[_Network]) -> tup
             f"experiments/training/train_{network_class.kind}.py"
         ) from error
     except Exception as error:  # NumPy, zipfile and PyTorch raise exceptions of many types on damaged files
-        raise DataFormatError(f"{file}: not weights of {network_class.kind} ({shorten_text(error)})") from error
+        raise DataFormatError(
+            f"{file}: not weights of {network_class.kind}, or damaged ({shorten_text(error)}); copy the file again, or "
+            f"make one with experiments/training/train_{network_class.kind}.py"
+        ) from error
     check_finite_weights(file, network)
     return network.eval(), hashlib.sha256(content).hexdigest()[:8]
 

@@ -58,10 +58,10 @@ def test_damaged_recordings_are_refused(kind: str) -> None:
         (
             "object_y",
             "object_x",
-            "the header must have a different name for each of 15 columns, got time, object_x, object_x",
+            "column 'object_x' must be there once, got it twice",
         ),
-        ("0.6,", "far,", "below the header, could not convert string 'far' to float64 at row 0, column 2"),
-        ("\n0,", "\n0,0,", "below the header, the number of columns changed from 16 to 15"),
+        ("0.6,", "far,", "column 'object_x' must be a number in line 2, got 'far'"),
+        ("\n0,", "\n0,0,", "line 2 must have 15 cells, got 16"),
         ("time,", ",", "column '' is unknown; columns are time, "),
         ("time,", "Time,", "column 'Time' is unknown"),
         ("time,", "timestamp_ns,", "column 'timestamp_ns' is unknown"),
@@ -148,7 +148,8 @@ def test_files_of_motive_and_offsets_of_markers(old: bool, tmp_path: Path) -> No
         ("object", "Mug", "object is missing; .* this one has time, Mug, wrist; rename"),
         ("Quaternion", "XYZ", "Rotation Type in the first line must be Quaternion, got XYZ"),
         ("Length Units,Millimeters", "", "Length Units in the first line must be Meters or .*, got none"),
-        ("0.600000", "abc", "could not convert string 'abc'"),
+        ("0.600000", "abc", "column 'Name Time .Seconds.' must be a number in line 45, got 'abc'"),
+        ("Format Version", "Version", "a file of Motive must start with its line 'Format Version,...', got 'Version,"),
     ],
 )
 def test_files_of_motive_with_faults(before: str, after: str, message: str, tmp_path: Path) -> None:
