@@ -14,7 +14,6 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from handover_marl.config import PANDA_DOF, CameraConfig
-from handover_marl.episode.camera_observations import WRIST_ONLY
 from handover_marl.episode.giver_motion import NO_DEVIATION
 from handover_marl.episode.observations import Observation, receiver_observation_space
 from handover_marl.episode.spaces import receiver_action_space
@@ -173,9 +172,8 @@ class Demonstrations:
         with report_damage(path, *_KIND_AND_ADVICE):
             content = json.loads(read_plain_file(path, _MAX_METADATA_BYTES))
             cameras = [_read_camera(values) for values in content.get("cameras", [])]
-            # Version 0.8.0 recorded the wrist camera only, and did not describe it.
-            space = receiver_observation_space(content["obs_mode"], content["largest_class"], cameras or WRIST_ONLY)
-            self.observation_space, self._cameras = space, cameras
+            self.observation_space = receiver_observation_space(content["obs_mode"], content["largest_class"], cameras)
+            self._cameras = cameras
             self.fps: int | None = content["fps"]
         self.action_space: spaces.Box = receiver_action_space()
         self.evaluation: ResultMetadata = read_result_metadata(self.folder)
