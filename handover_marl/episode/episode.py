@@ -54,7 +54,7 @@ class SceneConfig:
         camera_model: Projection of the cameras' point clouds: handoversim (shifted by one pixel, as in the
             original) or pinhole.
         camera_noise: Noise and latency of the cameras: realsense, or imperfect, which adds calibration errors, or one
-            part of imperfect (depth_noise, delay, hand_eye, intrinsics), or in Python a `CameraNoise`; default: none.
+            part of imperfect (depth_noise, latency, hand_eye, intrinsics), or in Python a `CameraNoise`; default: none.
         cameras: Cameras of the observations, each a name (wrist, front, over_shoulder) or in Python a `CameraConfig`.
         camera_randomization: Random deviations of the cameras from their configuration, in Python a
             `CameraRandomization`; default: the calibration errors that `camera_noise` names, or none.

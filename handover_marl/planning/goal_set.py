@@ -156,14 +156,14 @@ class GoalSetBuilder:
         are in random order.
         """
         goals = self._add_wrist_flips(self._solve_tails(grasps))
-        goals = goals.select(self._is_rotated_little(goals.goals))
+        goals = goals.select(self._keeps_orientation(goals.goals))
         goals = goals.select(self._is_collision_free(goals.standoffs, objects))
         if person is not None and len(goals):
             goals = replace(goals, clearances=self._compute_clearances(goals.tails, person))
             goals = goals.select(np.argsort(-goals.clearances, kind="stable"))
             least = min(MIN_HAND_CLEARANCE, float(goals.clearances.max()))
             goals = goals.select(goals.clearances >= least)
-        return self._thin_out(goals)
+        return self._remove_similar_goals(goals)
 
     def _compute_clearances(self, tails: Array, person: Obstacle) -> Array:
         """Return the smallest distances (g,) in m between gripper and the person's hand over each tail (g, t, 7)."""
@@ -213,7 +213,7 @@ class GoalSetBuilder:
             np.concatenate([goals.clearances, copies.clearances]),
         )
 
-    def _is_rotated_little(self, goals: Array) -> npt.NDArray[np.bool_]:
+    def _keeps_orientation(self, goals: Array) -> npt.NDArray[np.bool_]:
         """Return a mask (g,) of the goals (g, 7) for which the hand turns little on the straight joint path."""
         shares = np.arange(1, _N_PATH_CHECKS + 1) / (_N_PATH_CHECKS + 1)
         line = self._start + shares[:, None, None] * (goals - self._start)
@@ -236,7 +236,7 @@ class GoalSetBuilder:
             is_free[-_UNCHECKED:] = True
         return is_free
 
-    def _thin_out(self, goals: GoalSet) -> GoalSet:
+    def _remove_similar_goals(self, goals: GoalSet) -> GoalSet:
         """Return goals with different standoffs, in random order and of limited number."""
         kept: list[int] = []
         for number, standoff in enumerate(goals.standoffs):

@@ -190,7 +190,7 @@ def test_names_of_noise_may_include_wrong_calibration() -> None:
     assert_equal(observe(2, None, camera_noise="hand_eye"), observe(2, wrong_pose))
     own = CameraRandomization(color=0.5)
     assert_equal(observe(2, own, camera_noise="hand_eye"), observe(2, own))
-    delayed, plain = observe(2, None, camera_noise="delay"), observe(2, None)
+    delayed, plain = observe(2, None, camera_noise="latency"), observe(2, None)
     assert_equal(
         observe(2, None, camera_noise="intrinsics"), observe(2, CameraRandomization(focal=0.01, principal=2.24))
     )

@@ -45,7 +45,7 @@ CAMERA_NOISE_MODELS = {
     "realsense": CameraNoise(),
     "imperfect": CameraNoise(latency=0.06),
     "depth_noise": CameraNoise(latency=0.0),
-    "delay": replace(_EXACT, latency=0.06),
+    "latency": replace(_EXACT, latency=0.06),
     "hand_eye": _EXACT,
     "intrinsics": _EXACT,
 }
