@@ -16,7 +16,7 @@ RESULTS = REPOSITORY / "docs" / "results"
 RATE_PAGES = [page for page in sorted(RESULTS.glob("*.md")) if not page.name.startswith(("strangers", "population"))]
 _RATE = re.compile(r"(?<![\d.+-])(\d+\.\d+)(?: %)? \((\d+\.\d+) to (\d+\.\d+)\)")
 #: Titles of columns with intervals of other kinds.
-_NO_RATES = re.compile(r"AS %|idle|delay|handover s|s per scene|points")
+_NO_RATES = re.compile(r"AS %|idle|delay|handover s|s per scene|points|mean")
 _OUTCOMES = ("success", "contact", "drop", "timeout")
 #: Numbers of scenes of the official test splits.
 SIZES = {"s0": 144, "s1": 180, "s2": 360, "s3": 100}
