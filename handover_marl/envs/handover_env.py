@@ -195,7 +195,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         """
         self._check_open()
         # If anything fails below, no episode is running.
-        self.agents, self._observation, self._partner = [], None, None
+        self._end_episode()
         if seed is not None:
             self.np_random, _ = seeding.np_random(seed)
         scene = self.dataset.load_scene(self.choose_scene(options, self.np_random))
@@ -288,7 +288,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
     def close(self) -> None:
         """Free the simulation; the environment cannot be used afterwards."""
         self._episode.close()
-        self.agents, self._observation, self._partner = [], None, None
+        self._end_episode()
         self._is_closed = True
 
     def camera_info(self) -> dict[str, CameraInfo]:
@@ -357,6 +357,9 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
     def _check_open(self) -> None:
         if self._is_closed:
             raise ResetNeededError("the environment is closed; make another one")
+
+    def _end_episode(self) -> None:
+        self.agents, self._observation, self._partner = [], None, None
 
     def _advance(self, actions: dict[str, Action]) -> None:
         """Simulate one control period with actions by agent; a partner's policy decides at its own control period."""

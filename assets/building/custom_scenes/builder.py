@@ -285,7 +285,10 @@ class CustomSceneFolder:
 
 
 def _read_bodies(names: Sequence[str], urdfs: Sequence[Path]) -> dict[str, npt.NDArray[np.float64]]:
-    """Return the vertices (v, 3) in m of objects by their names in recordings, from the URDFs of classes `names`."""
+    """Return the vertices (v, 3) in m of each object in a scene, read from URDFs, by its name in recordings.
+
+    The first object, of the class `names[0]`, is the one that is handed over.
+    """
     return {body: read_collision_mesh(urdf)[0] for body, urdf in zip((OBJECT, *names[1:]), urdfs, strict=True)}
 
 

@@ -289,7 +289,8 @@ class ArrayEnvs:
     def step(self, rows: Indices, actions: ByAgent) -> EnvResult:
         """Let the agents act for one control period, or until an action scheme needs outputs; see `batch.Envs.step`."""
         episodes, current = self._episodes, self.arrays.asarray(self._current[rows])
-        for row in rows[self._next[rows] == _NONE].tolist() if self._prefetches else ():
+        without_next = rows[self._next[rows] == _NONE] if self._prefetches else rows[:0]
+        for row in without_next.tolist():
             self._rngs_before[row] = copy.deepcopy((self._rngs[row], self._partner_rngs[row]))
             self._start(row, int(self._free[row]), None)
             self._next[row] = self._free[row]

@@ -245,7 +245,7 @@ def read_entry(folder: Path) -> dict[str, Any]:
 
 
 def read_report(folder: Path, population: Population) -> StrangersReport:
-    """Compute the report of an output folder of `strangers` with a population from the results of the episodes.
+    """Compute the report of an output folder of `strangers` from the stored results of its episodes.
 
     Raises:
         OptionError: The folder is of another population.

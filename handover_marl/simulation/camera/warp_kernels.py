@@ -26,9 +26,10 @@ _BACKGROUND = warp.constant(int(SegmentationLabel.BACKGROUND))
 
 @warp.func
 def compute_ray(pixel: int, width: int, intrinsics: warp.vec4) -> warp.vec3:
-    """Return the direction of the ray of the pixel with a number, in the camera's frame, with z = 1.
+    """Return the direction (3,) of the ray through a pixel in the camera's frame, scaled to z = 1.
 
-    `width` is that of the image (pixels); `intrinsics` are focal lengths and principal point (pixels).
+    `pixel` counts the image's pixels row by row, `width` is the number of columns, and `intrinsics` are focal lengths
+    and principal point (pixels).
     """
     column, row = pixel % width, pixel // width
     right, down = float(column) - intrinsics[2], float(row) - intrinsics[3]
