@@ -59,7 +59,7 @@ class Args(SetupArgs):
             features: a network learns the mean of what an expert does in states with equal features.
         giver: Giver of all episodes. With `replay` alone, networks learn the scenes by heart.
         features: Features of the receiver, inputs of the network.
-        actions: Action scheme that decodes the network's outputs; it must be invertible.
+        action_scheme: Action scheme that decodes the network's outputs; it must be invertible.
         rounds: Number of rounds.
         batches: Number of batches of episodes in a round.
         num_envs: Number of environments in a batch.
@@ -87,7 +87,7 @@ class Args(SetupArgs):
     expert: str = "learned:runs/servo.npz"
     giver: str = "displaced"
     features: str = "grasp_velocity"
-    actions: str = "cartesian_delta"
+    action_scheme: str = "cartesian_delta"
     rounds: int = 5
     batches: int = 8
     num_envs: int = 64
@@ -146,9 +146,9 @@ class Collector:
         context = self._context = make_policy_context(dataset, setup=args.setup)
         selector = LowestCostGraspSelector(context, count)
         self._features = make_array_features("receiver", args.features, context, selector, count)
-        scheme = make_array_scheme("receiver", args.actions, context, selector, count)
+        scheme = make_array_scheme("receiver", args.action_scheme, context, selector, count)
         if not isinstance(scheme, InvertibleScheme):
-            raise OptionError(f"actions must be an invertible action scheme, got {args.actions!r}")
+            raise OptionError(f"action_scheme must be invertible, got {args.action_scheme!r}")
         self._scheme = scheme
         self._expert = make_policy_batch(reference, dataset, OFFICIAL_CONFIG, args.setup, count)
         self._is_student, self._is_closed = np.zeros(count, bool), np.zeros(count, bool)
@@ -235,7 +235,7 @@ def main(args: Args) -> Path:
     torch.set_num_threads(1)  # The networks are small, and the other cores simulate.
     period = parse_policy("receiver", args.expert).make(dataset, setup=args.setup).hold_time
     origin = describe_origin("train_receiver_dagger", args)
-    spec = PolicySpec("receiver", args.features, args.actions, period, origin)
+    spec = PolicySpec("receiver", args.features, args.action_scheme, period, origin)
     decisions: list[Decisions] = []
     student = None
     for number in range(args.rounds):

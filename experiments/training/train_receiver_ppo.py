@@ -43,7 +43,7 @@ class Args(RlArgs):
         out: Policy file to write.
         giver: Fixed policy of the giver, with options.
         features: Features of the receiver: close, or close_stack for those of the last four decisions.
-        actions: Action scheme of the receiver.
+        action_scheme: Action scheme of the receiver.
         rewards: Rewards: sparse, shaped, or module:name of own ones, see docs/reference/rewards.md.
         initial: Policy file whose network is trained further, with its features, actions and control period; None
             trains a new network.
@@ -59,7 +59,7 @@ class Args(RlArgs):
     out: Path = Path("runs/ppo.npz")
     giver: str = "cooperative"
     features: str = "close"
-    actions: str = "grasp_servo"
+    action_scheme: str = "grasp_servo"
     rewards: str = "sparse"
     initial: Path | None = None
     decisions: int = 12_288
@@ -323,7 +323,7 @@ def main(args: Args) -> Path:
     initial = None
     if args.initial is not None:
         spec, initial, _ = read_policy(args.initial, "receiver")
-        args = replace(args, features=spec.features, actions=spec.actions, control_period=spec.control_period)
+        args = replace(args, features=spec.features, action_scheme=spec.actions, control_period=spec.control_period)
     where = {"processes": 1} if args.backend == THREADS else {"backend": args.backend, "device": args.device}
     models = train(
         args,
@@ -336,12 +336,12 @@ def main(args: Args) -> Path:
         minutes=args.minutes,
         partner=args.giver,
         features=args.features,
-        action_scheme=args.actions,
+        action_scheme=args.action_scheme,
         rewards=set_discount(args.rewards, args.discount),
         **where,
     )
     spec = PolicySpec(
-        "receiver", args.features, args.actions, args.control_period, describe_origin("train_receiver_ppo", args)
+        "receiver", args.features, args.action_scheme, args.control_period, describe_origin("train_receiver_ppo", args)
     )
     network = dense_network_from_layers(models["receiver"].actor, "tanh")
     if initial is not None:

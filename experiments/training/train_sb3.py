@@ -61,7 +61,7 @@ class Args(RlArgs):
         partner: Policy of the other agent, with options; default: cooperative for receivers, yang2021 for givers.
         features: Name of the features that the learning agent observes, or module:name of user-defined features;
             default: close for receivers, giver for givers.
-        actions: Name of the learning agent's action scheme, or module:name of a user-defined scheme; default:
+        action_scheme: Name of the learning agent's action scheme, or module:name of a user-defined scheme; default:
             grasp_servo for receivers, offer for givers.
         rewards: Reward: sparse, shaped, or module:name of a user-defined reward.
         gripper_initial_std: Initial standard deviation of a receiver's output that closes the gripper: random closing
@@ -77,7 +77,7 @@ class Args(RlArgs):
     agent: Literal["receiver", "giver"] = "receiver"
     partner: str = ""
     features: str = ""
-    actions: str = ""
+    action_scheme: str = ""
     rewards: str = "sparse"
     gripper_initial_std: float = 0.45
     num_envs: int = 64
@@ -93,11 +93,11 @@ class Args(RlArgs):
 def main(args: Args) -> Path:
     """Train the agent, from a checkpoint if `args.resume` is set and there is one; return the path of its file."""
     torch.set_num_threads(1)
-    features, actions, partner = _DEFAULTS[args.agent]
+    features, action_scheme, partner = _DEFAULTS[args.agent]
     args = replace(
         args.resolve_setup(),
         features=args.features or features,
-        actions=args.actions or actions,
+        action_scheme=args.action_scheme or action_scheme,
         partner=args.partner or partner,
     )
     # `module:name` may be in the working folder, which Python does not search when it runs a script.
@@ -135,7 +135,7 @@ def _make_ppo(args: Args) -> tuple[PPO, VecMonitor]:
         args.agent,
         args.partner,
         features=args.features,
-        action_scheme=args.actions,
+        action_scheme=args.action_scheme,
         wrappers=[EpisodeReturns],
         autoreset="same_step",
         processes=min(args.num_envs, count_available_cores()),
@@ -175,7 +175,7 @@ class EvaluationCallback(BaseCallback):
         super().__init__()
         self._args, self._folder, self._next, self._started = args, Path(args.out), 0, time.monotonic()
         origin = describe_origin("train_sb3", args)
-        self._spec = PolicySpec(args.agent, args.features, args.actions, args.control_period, origin)
+        self._spec = PolicySpec(args.agent, args.features, args.action_scheme, args.control_period, origin)
 
     def _on_training_start(self) -> None:
         self._next = self.num_timesteps + self._args.eval_interval
@@ -197,7 +197,7 @@ class EvaluationCallback(BaseCallback):
         args, policy = self._args, self._folder / POLICY
         write_policy(policy, self._spec, dense_network_from_sb3(self.model))
         # User-defined features and schemes were named by the caller, so they may be imported.
-        trust = is_reference(args.features) or is_reference(args.actions)
+        trust = is_reference(args.features) or is_reference(args.action_scheme)
         learned, label = f"learned:{policy}", f"{self.num_timesteps} decisions"
         giver, receiver = (args.partner, learned) if args.agent == "receiver" else (learned, args.partner)
         report = validate(args, args.val_scenes, giver, receiver, label, physics=args.physics, trust=trust)

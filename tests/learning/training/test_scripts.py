@@ -64,7 +64,7 @@ def test_train_receiver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     pytest.importorskip("mujoco", reason="needs MuJoCo")
     train = script("train_sb3", monkeypatch)
     own = "tests.learning.custom"
-    args = {**RECEIVER, "out": str(tmp_path / "run"), "actions": f"{own}:FirstJoint"}
+    args = {**RECEIVER, "out": str(tmp_path / "run"), "action_scheme": f"{own}:FirstJoint"}
     args["features"] = f"{own}:OffsetAndCount"
     train.main(train.Args(**args, decisions=16))
     assert files(tmp_path / "run") == MADE
@@ -83,7 +83,12 @@ def test_runs_are_not_resumed_on_another_dataset(
     """A run with the dataset "auto" is not resumed if an environment variable now selects another dataset."""
     train = script("train_sb3", monkeypatch)
     args = train.Args(
-        setup="s0", features="close", actions="grasp_servo", partner="replay", out=str(tmp_path / "run"), resume=True
+        setup="s0",
+        features="close",
+        action_scheme="grasp_servo",
+        partner="replay",
+        out=str(tmp_path / "run"),
+        resume=True,
     )
     open_run_folder(tmp_path / "run", args, False, "synthetic")
     monkeypatch.setenv(DATA_DIR_VARIABLE, str(fake_data))
