@@ -116,11 +116,7 @@ def _format_visual(colored: Iterable[tuple[str, Array, Faces]]) -> str:
 
 
 def find_bullet_data(feature: str, advice: str) -> Path:
-    """Return PyBullet's folder of model files; an error names the `feature` that needs PyBullet, and adds `advice`.
-
-    Raises:
-        OptionError: PyBullet is not installed.
-    """
+    """Return PyBullet's folder of model files; an error names the `feature` that needs PyBullet, and adds `advice`."""
     require_pybullet(feature, advice)
     import pybullet_data
 
@@ -139,12 +135,7 @@ def find_vision_weights(network: str, setup: str) -> Path:
 
 
 def load_object_grasps(name: str) -> npt.NDArray[np.float64] | None:
-    """Load gripper poses (100, 4, 4) at robot grasps of a YCB class in the object's frame (m), or None if it has none.
-
-    Raises:
-        UnknownNameError: The class does not exist.
-        DataNotFoundError, DataFormatError: The grasp file is missing or damaged.
-    """
+    """Load gripper poses (100, 4, 4) at robot grasps of a YCB class in the object's frame (m); None if it has none."""
     check_name("object", name, CLASS_NAMES.values())
     if name in CLASSES_WITHOUT_GRASPS:
         return None

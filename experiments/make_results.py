@@ -186,11 +186,7 @@ def measure(
 
 
 def add_evaluation(folder: Path, purpose: str) -> None:
-    """Store the outcomes in a result folder, in place of an earlier evaluation, and log the use of the test split.
-
-    Raises:
-        SystemExit: The evaluation is partial, or not one of the official protocol on a test split.
-    """
+    """Store the outcomes in a result folder, in place of an earlier evaluation, and log the use of the test split."""
     report = handover_marl.load_report(folder)
     metadata = report.metadata
     protocol = (metadata.world, metadata.split, metadata.giver, metadata.physics, metadata.inference_time)

@@ -36,9 +36,6 @@ class ArrayGiver(Giver):
         context: Robot and task.
         options: Numbers of the configuration that differ from its defaults.
 
-    Raises:
-        OptionError: An option is unknown, or its value is out of range.
-
     Attributes:
         config: Configuration; default: the configuration of the class.
         state: Arrays (n, ...) of the episodes' state by name.

@@ -153,12 +153,6 @@ class GaddpgReceiver(PhasedReceiver):
         max_steps: Maximum number of decisions of an approach, RL_MAX_STEP in the configuration of
             the trained model. Default: the value in the library's own weights (30), or else 20.
 
-    Raises:
-        OptionError: PyTorch is not installed, both network and weights are given, or a number is out of range.
-        DataNotFoundError: The weight file does not exist.
-        DataFormatError: The weight file cannot be read.
-        UnsafeFileError: The checkpoint contains more than weights.
-
     Attributes:
         memory: Memory of the object's last point cloud.
     """

@@ -60,9 +60,6 @@ class OmgReceiver(PhasedReceiver):
         wait: Time at the waiting pose (s); default: 3.
         config: Configuration of the planner.
 
-    Raises:
-        OptionError: The extra `planning` is not installed.
-
     Attributes:
         world_from_base: (7,) world pose (quaternion xyzw) of the robot's base, in whose frame plans are given.
         has_planned: Whether the receiver has planned in this episode, successfully or not.

@@ -100,9 +100,6 @@ class Yang2021Receiver(Receiver):
         config: Constants of the method.
         options: Other values of numbers in the configuration, such as `step_length=0.03`; see `YangConfig`.
 
-    Raises:
-        OptionError: `wait` or an option is out of range, or an option is unknown.
-
     Attributes:
         phase: Phase (n,) of each episode, a `YangPhase`.
         selected: World poses (n, 2, 7; xyzw) of the hand link at the selected standoffs and grasps; nan without

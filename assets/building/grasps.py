@@ -153,10 +153,6 @@ def make_robot_grasps(
 
     Returns:
         Gripper poses (n, 4, 4) in the object's frame (m), and the number of candidates that were simulated.
-
-    Raises:
-        OptionError: `count` is out of range.
-        SimulationError: The model cannot be simulated.
     """
     if isinstance(count, bool) or not isinstance(count, int) or not 0 <= count <= 1000:
         raise OptionError(f"grasps must be an integer from 0 to 1000, got {count!r}")

@@ -105,11 +105,7 @@ def train_policy(args: Args, agent: str, partner: str, path: Path, seed: int, sh
 
 
 def train_pairs(args: Args) -> Path:
-    """Train the pairs, and return the file of the population of their policies.
-
-    Raises:
-        ResultsError: The pairs have other arguments, or a policy of a finished pair is missing.
-    """
+    """Train the pairs, and return the file of the population of their policies."""
     folder = args.open_folder("pairs", ("agent", "method", "seeds", "partner", "population"))
     partners: dict[str, list[Partner]] = {"giver": [], "receiver": []}
     for seed in range(_FIRST_PAIR_SEED, _FIRST_PAIR_SEED + args.pairs):
@@ -128,11 +124,7 @@ def train_pairs(args: Args) -> Path:
 
 
 def main(args: Args) -> list[Path]:
-    """Train a policy with every seed, and return the paths of the policy files.
-
-    Raises:
-        ResultsError: The folder holds policies of other arguments.
-    """
+    """Train a policy with every seed, and return the paths of the policy files."""
     args = args.resolve_setup()
     partner = args.partner or {"receiver": "replay", "giver": "yang2021"}[args.agent]
     parse_policy("giver" if args.agent == "receiver" else "receiver", partner)

@@ -49,11 +49,7 @@ class TableArguments:
 
 
 def parse_scenes(words: Sequence[str]) -> tuple[int, ...]:
-    """Return the scene numbers in words such as "209" or "209,214".
-
-    Raises:
-        OptionError: A part of a word is not a number.
-    """
+    """Return the scene numbers in words such as "209" or "209,214"."""
     text = " ".join(words)
     try:
         return tuple(int(part) for part in text.replace(", ", ",").replace(" ", ",").split(","))

@@ -19,11 +19,7 @@ def prepare_streams() -> None:
 
 
 def print_tables(result: "TabularResult", tables: "TableArguments", note: str = "") -> None:
-    """Print a result, and a note on files such as the path of a report; in CSV and LaTeX the note goes to stderr.
-
-    Raises:
-        HandoverError: No table has the columns.
-    """
+    """Print a result, and a note on files such as the path of a report; in CSV and LaTeX the note goes to stderr."""
     text = result.format(tables.style, tables.columns)
     if tables.style == "markdown":
         print("\n\n".join(filter(None, (text, note))), flush=True)

@@ -49,9 +49,6 @@ def _read_scene_info(path: Path, scene_id: int) -> tuple[SceneInfo, list[int]]:
 
     Returns:
         Description of the scene, and the indices of its objects in the pose file, the handed-over one first.
-
-    Raises:
-        DataFormatError: The file lacks a key or has an invalid object or hand.
     """
     advice = "it needs name, ycb_ids, ycb_grasp_ind and mano_sides; copy it again from the HandoverSim data"
     with report_damage(path, "meta file of a scene", advice):
@@ -65,12 +62,7 @@ def _read_scene_info(path: Path, scene_id: int) -> tuple[SceneInfo, list[int]]:
 
 
 def read_motion(path: Path, shapes: Mapping[str, tuple[int, ...]], advice: str) -> list[npt.NDArray[np.float32]]:
-    """Read a scene's motion at 1 kHz: arrays (T, *shape) of one length from an `.npz` file, by name and shape.
-
-    Raises:
-        DataNotFoundError, DataFormatError: The file is missing or damaged, or an array has another shape; the error
-            ends with `advice`.
-    """
+    """Read a scene's motion at 1 kHz: arrays (T, *shape) of one length from an `.npz` file, by name and shape."""
     with report_damage(path, "pose file", advice):
         arrays = [array.astype(np.float32) for array in read_arrays(path, tuple(shapes), MAX_MOTION_BYTES).values()]
         n_frames = len(arrays[0])
@@ -84,9 +76,6 @@ def check_scene_meta(path: Path, ids: list[int], grasped: int, sides: list[Any])
     """Check the objects and the hand in a meta file, whose path is for errors.
 
     `ids` are class numbers, `grasped` is the index of the handed-over object; `sides` must be ["right"] or ["left"].
-
-    Raises:
-        DataFormatError: A scene cannot have these objects or hands.
     """
     unknown = [number for number in ids if number not in SCENE_CLASSES]
     if unknown:
@@ -103,12 +92,7 @@ def check_scene_meta(path: Path, ids: list[int], grasped: int, sides: list[Any])
 
 
 def load_grasps(path: Path) -> npt.NDArray[np.float64]:
-    """Load the gripper poses (n, 4, 4) in the object's frame (m) from a grasp file of HandoverSim (.npy).
-
-    Raises:
-        UnsafeFileError: The pickle uses something other than arrays and plain values.
-        DataFormatError: The file is damaged, or has no finite poses.
-    """
+    """Load the gripper poses (n, 4, 4) in the object's frame (m) from a grasp file of HandoverSim (.npy)."""
     with report_damage(path, "grasp file", "copy it again from the HandoverSim data"):
         stream = io.BytesIO(read_plain_file(path, _MAX_GRASP_BYTES))
         np.lib.format.read_magic(stream)
@@ -136,11 +120,6 @@ class OfficialDataset(Dataset):
 
     Attributes:
         data_dir: Path of the data folder.
-
-    Raises:
-        OptionError: `data_dir` is not a path.
-        UnknownNameError: `robot` is not in `ROBOTS`.
-        DataNotFoundError: The folder or one of its two subfolders is missing.
     """
 
     name = "dexycb"
@@ -196,12 +175,7 @@ class OfficialDataset(Dataset):
         return None if path is None else self._load_grasps(path)
 
     def check_scenes(self, scene_ids: tuple[int, ...]) -> None:
-        """Check that all files of the given scenes exist and that the grasp files of their objects can be read.
-
-        Raises:
-            DataNotFoundError: A file is missing.
-            UnsafeFileError, DataFormatError: A grasp file may run code, or is damaged.
-        """
+        """Check that all files of the given scenes exist and that the grasp files of their objects can be read."""
         for scene_id in scene_ids:
             info = self.load_info(scene_id)
             self._find_scene_assets(info)

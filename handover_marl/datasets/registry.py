@@ -109,11 +109,7 @@ def _open_dexycb(data_dir: str | None, robot: str) -> Dataset:
 
 
 def _split_name(name: str) -> tuple[str, str]:
-    """Return the kind and the argument of a data set's name: "own:FOLDER" gives ("own", "FOLDER"); "" for no argument.
-
-    Raises:
-        UnknownNameError: There is no such kind, or the argument is missing or superfluous.
-    """
+    """Return the kind and the argument ("" for none) of a data set's name: "own:FOLDER" gives ("own", "FOLDER")."""
     text = name if isinstance(name, str) else ""
     kind, separator, argument = text.partition(":")
     if kind not in KINDS or bool(separator) != (":" in KINDS[kind].usage) or (separator and not argument):
@@ -172,9 +168,6 @@ def check_scene_fingerprint(scene_id: int, found: str, expected: str) -> None:
     """Check that a scene is the same on this machine as on the machine that started the evaluation.
 
     `found` and `expected` are the fingerprints of the scene here and there; "" as `expected` accepts any.
-
-    Raises:
-        DataFormatError: The fingerprints differ.
     """
     if expected not in ("", found):
         raise DataFormatError(

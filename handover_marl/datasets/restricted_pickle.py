@@ -51,10 +51,5 @@ class _RestrictedUnpickler(pickle.Unpickler):
 
 
 def load_restricted(data: bytes, allowed: AllowedNames = ARRAY_NAMES) -> Any:
-    """Load an untrusted pickle, which can use nothing but the functions and classes in `ARRAY_NAMES` and `allowed`.
-
-    Raises:
-        UnsafeFileError: The pickle asks for another name; the message follows "the pickle".
-        Exception: The pickle is damaged; any type may be raised.
-    """
+    """Load an untrusted pickle, which can use nothing but the functions and classes in `ARRAY_NAMES` and `allowed`."""
     return _RestrictedUnpickler(data, allowed).load()

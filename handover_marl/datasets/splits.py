@@ -49,9 +49,6 @@ def list_split_scenes(setup: str, split: str, find_side: Callable[[int], str]) -
 
     The setups are "s0" (no held-out factor), "s1" (unseen subjects), "s2" (unseen handedness), "s3" (unseen objects).
     `find_side` returns the hand of a scene, "right" or "left"; it is only called for trial 4 of s2.
-
-    Raises:
-        UnknownNameError: The setup or the split does not exist.
     """
     check_name("setup", setup, SETUPS)
     check_name("split", split, SPLITS)
@@ -76,9 +73,6 @@ def choose_scenes(split_ids: tuple[int, ...], scenes: Iterable[int] | None, wher
     """Return the chosen `scenes` (None for all) among the numbers of a split, in ascending order without repetitions.
 
     `where` is the name of the split, for errors.
-
-    Raises:
-        SceneError: The split or `scenes` is empty, or `scenes` has something other than the split's scene numbers.
     """
     if not split_ids:
         raise SceneError(f"{where} has no scenes; choose another split, or a data set with more scenes")
@@ -101,11 +95,7 @@ def choose_scenes(split_ids: tuple[int, ...], scenes: Iterable[int] | None, wher
 
 
 def select_scenes_evenly(scene_ids: Sequence[int], n: int) -> tuple[int, ...]:
-    """Return at most n of the scene numbers of a split, evenly spaced over their order.
-
-    Raises:
-        OptionError: n is not a whole number of at least 1.
-    """
+    """Return at most n of the scene numbers of a split, evenly spaced over their order."""
     if isinstance(n, bool) or not isinstance(n, int) or n < 1:
         raise OptionError(f"number of scenes must be a whole number of at least 1, got {shorten_text(n)}")
     chosen = np.unique(np.linspace(0, len(scene_ids) - 1, min(n, len(scene_ids))).round().astype(int))

@@ -74,12 +74,7 @@ class EnvConfig(SceneConfig):
 
 
 def make_env_config(config: EnvConfig | None, fields: Mapping[str, Any]) -> EnvConfig:
-    """Return a given environment configuration, or make one from its fields, which must be empty if it is given.
-
-    Raises:
-        OptionError: Both `config` and `fields` are given, or a value is out of range.
-        UnknownNameError: The value of a field is not one of its valid names.
-    """
+    """Return a given environment configuration, or make one from its fields, which must be empty if it is given."""
     if config is None:
         return EnvConfig(**fields)
     if not isinstance(config, EnvConfig):

@@ -84,12 +84,7 @@ def combine_rewards(*parts: RewardLike | tuple[float, RewardLike]) -> CombinedRe
 
 
 def resolve_rewards(rewards: Any) -> Any:
-    """Return the `RewardWeights`, `CombinedRewards` or function of a transition that a value of `rewards` refers to.
-
-    Raises:
-        UnknownNameError: There is no reward of that name, or `module:name` cannot be imported.
-        OptionError: The value is neither a name nor weights nor callable.
-    """
+    """Return the `RewardWeights`, `CombinedRewards` or function of a transition that a value of `rewards` refers to."""
     if isinstance(rewards, str) and ":" in rewards:
         rewards = import_reference("rewards", rewards, (*REWARDS, "module:name"))
     if isinstance(rewards, str):
@@ -138,11 +133,7 @@ class RewardSource:
                 self._parts.append((weight, CustomRewardSource(functions, arrays)))
 
     def start(self, rows: AnyIndices, step: StepData) -> TermNames:
-        """Start the episodes `rows`, whose first states are in `step`; return the names of the terms by agent.
-
-        Raises:
-            RewardError: Two parts have a term of the same name, or a user-defined reward fails.
-        """
+        """Start the episodes `rows`, whose first states are in `step`; return the names of the terms by agent."""
         names: dict[str, list[str]] = {agent: [] for agent in AGENTS}
         for _, part in self._parts:
             for agent, own in part.start(rows, step).items():
@@ -155,11 +146,7 @@ class RewardSource:
         return names
 
     def compute(self, rows: AnyIndices, step: StepData) -> dict[str, ArrayTerms]:
-        """Return the weighted values (r,) of the terms in a control step of the episodes `rows`, by agent and name.
-
-        Raises:
-            RewardError: A user-defined reward fails, or returns a wrong term.
-        """
+        """Return the weighted values (r,) of the terms in a control step of the episodes `rows`, by agent and name."""
         terms: dict[str, ArrayTerms] = {agent: {} for agent in AGENTS}
         for weight, part in self._parts:
             for agent, own in part.compute(rows, step).items():

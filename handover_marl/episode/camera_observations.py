@@ -94,9 +94,6 @@ def camera_observation_space(
     camera with latency shows earlier images; their points are in the link's current frame.
     "full_pointcloud" is for methods that subsample the points themselves and need unrounded joints, as HandoverSim's
     scripts for GA-DDPG do.
-
-    Raises:
-        UnknownNameError: There is no such observation mode or camera.
     """
     found = dict[str, spaces.Space[Any]]()
     for camera in resolve_cameras(cameras):
@@ -126,12 +123,7 @@ def _make_spaces(obs_mode: str, camera: CameraConfig) -> dict[str, spaces.Space[
 
 
 def resolve_cameras(cameras: Iterable[str | CameraConfig]) -> tuple[CameraConfig, ...]:
-    """Return the configurations of cameras that may be names, e.g. "wrist".
-
-    Raises:
-        UnknownNameError: There is no camera of that name.
-        OptionError: The cameras are not a sequence of names and configurations, or two have the same name.
-    """
+    """Return the configurations of cameras that may be names, e.g. "wrist"."""
     if isinstance(cameras, str) or not isinstance(cameras, Iterable):
         raise OptionError(
             f'cameras must be a tuple of names and CameraConfigs, got {cameras!r}; e.g. ("wrist", "front")'
@@ -166,10 +158,6 @@ class SensorConfig:
         camera_noise: Noise of the images: None (no noise), a name of `CAMERA_NOISE_MODELS`, or a `CameraNoise`.
         cameras: Configurations of the cameras; `resolve_cameras` makes them of names.
         randomization: Random deviations of the cameras, drawn in each episode; None for none.
-
-    Raises:
-        UnknownNameError: There is no such renderer, camera model or camera noise.
-        OptionError: The camera noise has a wrong type.
     """
 
     renderer: str = "auto"

@@ -133,10 +133,6 @@ class Episode:
         Args:
             scene: Scene of the episode.
             seed: Seed of the robot's initial joint positions, if the configuration has noise on them.
-
-        Raises:
-            DataNotFoundError, DataFormatError: Files of the scene are missing or damaged.
-            SimulationError: The engine cannot load a model.
         """
         for urdf in scene.urdfs:
             check_collision_meshes(urdf)
@@ -230,9 +226,6 @@ class Episode:
         Args:
             policy: The receiver; its attribute `obs_mode` names the mode, "state" if it has none.
             state: The full state as `observe` returns it now.
-
-        Raises:
-            UnknownNameError: There is no such observation mode.
         """
         obs_mode = getattr(policy, "obs_mode", STATE)
         if obs_mode == STATE:
@@ -254,21 +247,12 @@ class Episode:
             sensor.seed(seed)
 
     def capture_wrist_camera(self) -> CameraCapture:
-        """Return depth, segmentation, colours and point clouds of the wrist camera at the current step.
-
-        Raises:
-            UnknownNameError: There is no camera of the name "wrist".
-        """
+        """Return depth, segmentation, colours and point clouds of the wrist camera at the current step."""
         check_name("camera", "wrist", self._sensors)
         return self._sensors["wrist"].capture(self.world, self.steps)
 
     def observe_camera(self, obs_mode: str) -> Observation:
-        """Return the camera data of an observation mode by key, as `camera_observation_space` lists them.
-
-        Raises:
-            OptionError: A package is missing that the renderer needs.
-            DataFormatError, SimulationError: A visual mesh cannot be read.
-        """
+        """Return the camera data of an observation mode by key, as `camera_observation_space` lists them."""
         if not has_camera(obs_mode):
             return {}
         found: Observation = {}

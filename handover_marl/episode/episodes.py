@@ -58,10 +58,6 @@ class Episodes:
             row: Index of the episode.
             scene: Scene of the episode.
             seed: Seed of the robot's initial joint positions, if the configuration has noise on them.
-
-        Raises:
-            DataNotFoundError, DataFormatError: Files of the scene are missing or damaged.
-            SimulationError: The engine cannot load a model.
         """
         for urdf in scene.urdfs:
             check_collision_meshes(urdf)
@@ -81,9 +77,6 @@ class Episodes:
             robot_targets: (r, 9) target joint positions, 7 arm (rad) and 2 fingers (m).
             steps: Number of physics steps (1 ms).
             giver_actions: (r, 8) deviations from the recordings, see `giver_action_space`.
-
-        Raises:
-            SimulationError: The engine failed; the states of all episodes are invalid.
         """
         referees, rules = self.referees, self.config.protocol
         held = rows[requests_release(giver_actions) & self.motion.holding[rows]]

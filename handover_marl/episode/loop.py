@@ -127,9 +127,6 @@ def start_policy(policy: EpisodePolicy, seed: int | None, object_names: Sequence
         policy: Policy to start.
         seed: Seed of the policy.
         object_names: Class names of the objects, the one that is handed over first.
-
-    Raises:
-        PolicyError: The policy fails.
     """
     with _name_policy(policy, "reset"):
         policy.prepare(object_names)
@@ -143,10 +140,6 @@ def call_policy(policy: EpisodePolicy, observation: Observation, step: int) -> t
         policy: Policy to call.
         observation: Observation of the policy's agent.
         step: Number of physics steps since the start of the episode.
-
-    Raises:
-        PolicyError: The policy fails.
-        OptionError: The policy's hold time is not a positive number.
     """
     with _name_policy(policy, f"after {step} steps", observation):
         action, hold_time = policy.act(observation), policy.hold_time
@@ -166,11 +159,7 @@ def _name_policy(policy: EpisodePolicy, when: str, observation: Observation | No
 
 
 def steps_from_hold_time(hold_time: float) -> int:
-    """Convert the time (s) up to a policy's next decision to physics steps of 1 ms: rounded, from 1 to 10^12.
-
-    Raises:
-        OptionError: The hold time is not a positive number.
-    """
+    """Convert the time (s) up to a policy's next decision to physics steps of 1 ms: rounded, from 1 to 10^12."""
     if isinstance(hold_time, (bool, str)) or not isinstance(hold_time, (int, float, np.number)) or not hold_time > 0:
         raise OptionError(f"hold_time must be a positive number (s), got {hold_time!r}")
     return max(1, round(min(hold_time, _LONGEST_HOLD) / TIME_STEP))
@@ -196,9 +185,6 @@ class EpisodeAgent:
         pending: Action that was decided and is not in effect yet, or None.
         due: Physics step from which on the policy is to be called again.
         planning_time: Wall-clock time of the last call of the policy (s), without rendering.
-
-    Raises:
-        PolicyError: The policy is a giver and fails at the start of the episode.
     """
 
     def __init__(
@@ -237,11 +223,7 @@ class EpisodeAgent:
             self.action, self.pending = self.pending, None
 
     def act(self) -> Action:
-        """Return the action for the present physics step: call the policy if that is due, else return the held action.
-
-        Raises:
-            ActionError, PolicyError, OptionError: See `decide`.
-        """
+        """Return the action for this physics step: call the policy if that is due, else return the held action."""
         if self._episode.steps >= self.due:
             self.decide(self._episode.observe() if self.observes else {})
         return self.action
@@ -251,11 +233,6 @@ class EpisodeAgent:
 
         Args:
             state: Full state as `Episode.observe` returns it now.
-
-        Raises:
-            ActionError: The action is malformed.
-            PolicyError: The policy fails.
-            OptionError: The hold time of the policy is not a positive number.
         """
         episode = self._episode
         if self._is_giver:
@@ -304,11 +281,6 @@ def run_episode(
 
     Returns:
         Number of physics steps that passed during calls of the receiver.
-
-    Raises:
-        ActionError: An action of a policy is malformed.
-        PolicyError: A policy fails.
-        OptionError: The hold time of a policy is not a positive number.
     """
     horizon = episode.config.protocol.horizon_steps
     end = min(until, horizon) if isinstance(until, int) else horizon

@@ -80,9 +80,6 @@ def receiver_observation_space(
         obs_mode: Observation mode: state, camera data, or both; see `camera_observation_space`.
         largest_class: Largest class number of objects, 21 for YCB classes.
         cameras: Names or configurations of the cameras.
-
-    Raises:
-        UnknownNameError: There is no such observation mode or camera.
     """
     camera = camera_observation_space(obs_mode, cameras)
     state = state_space(largest_class).spaces

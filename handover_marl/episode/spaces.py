@@ -23,11 +23,7 @@ GIVER_ACTION_SIZE = 8
 
 
 def parse_obs_mode(obs_mode: str) -> frozenset[str]:
-    """Return the parts of an observation mode: "state+rgbd" has "state", "rgb" and "depth".
-
-    Raises:
-        UnknownNameError: A part is not one of `OBS_PARTS`.
-    """
+    """Return the parts of an observation mode: "state+rgbd" has "state", "rgb" and "depth"."""
     if not isinstance(obs_mode, str):
         raise UnknownNameError("part of obs_mode", obs_mode, OBS_PARTS, _JOIN_PARTS)
     parts = frozenset(obs_mode.split("+"))
@@ -76,22 +72,14 @@ def giver_action_space(config: GiverConfig = OFFICIAL_CONFIG.giver) -> spaces.Bo
 
 
 def check_receiver_action(action: object) -> npt.NDArray[np.float32]:
-    """Check a receiver's action and return it as a float32 array (9,).
-
-    Raises:
-        ActionError: The action is not nine finite numbers.
-    """
+    """Check a receiver's action and return it as a float32 array (9,)."""
     return check_vector(
         "action of the receiver", action, PANDA_DOF, "target joint positions: 7 arm (rad), 2 fingers (m)"
     )
 
 
 def check_giver_action(action: object, space: spaces.Box) -> npt.NDArray[np.float32]:
-    """Check a giver's action; return it as float32 (8,), clipped to the bounds of the giver's action space `space`.
-
-    Raises:
-        ActionError: The action is not eight finite numbers.
-    """
+    """Check a giver's action; return it as float32 (8,), clipped to the bounds of the giver's action space `space`."""
     values = check_vector("action of the giver", action, GIVER_ACTION_SIZE, "the deviation from the recording")
     return np.clip(values, space.low, space.high)
 
@@ -104,9 +92,6 @@ def check_vector(name: str, values: object, size: int, meaning: str) -> npt.NDAr
         values: Array or sequence of real numbers.
         size: Number of values.
         meaning: Description of the values, for error messages.
-
-    Raises:
-        ActionError: The values are not `size` numbers, or not finite.
     """
     vector = _as_float32(values)
     if vector is not None and vector.shape == (size,) and np.isfinite(vector).all():

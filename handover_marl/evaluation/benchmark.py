@@ -194,9 +194,6 @@ def select_shard(shard: str, scenes: Sequence[int]) -> tuple[int, ...]:
 
     Scenes are distributed in a fixed pseudo-random order, so that objects, people and their right and left hands are
     as mixed in every shard as in the whole; the sizes of two shards differ by one scene at most.
-
-    Raises:
-        OptionError: The text is not of this form, or there are fewer scenes than shards.
     """
     match = _SHARD.fullmatch(shard) if isinstance(shard, str) else None
     if match is None or not 1 <= int(match[1]) <= int(match[2]):

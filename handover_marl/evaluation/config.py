@@ -124,10 +124,6 @@ def build_configs(
 
     The setup may be a whole configuration, which no option may contradict, and for which other `arguments` are ignored.
     Options are fields of both configurations.
-
-    Raises:
-        TypeError: Unknown option.
-        OptionError: A configuration and one of its fields are both given, or a value is malformed.
     """
     names = {field.name for field in fields(ExecutionConfig)}
     execution_options = {key: value for key, value in options.items() if key in names}
@@ -146,12 +142,6 @@ def resolve_config(config: EvaluationConfig, trust: bool = False) -> tuple[Evalu
     """Check the names of a configuration, and return it with a setup, scenes and `PolicyReference`s, and its dataset.
 
     With `trust`, policy files may run code.
-
-    Raises:
-        UnknownNameError: Unknown setup, split, dataset, robot, physics, renderer or policy.
-        SceneError: A scene is not in the split.
-        DataNotFoundError: A file of a scene is missing.
-        OptionError: A policy does not accept its options, or the renderer is not installed.
     """
     check_name("split", config.split, SPLITS)
     check_physics(config.physics)
@@ -185,11 +175,7 @@ def set_dataset(config: EvaluationConfig, dataset: Dataset) -> EvaluationConfig:
 
 
 def require_policy_reference(policy: PolicyLike) -> PolicyReference:
-    """Return a policy of a configuration if it is a `PolicyReference`, as it is after `resolve_config`.
-
-    Raises:
-        TypeError: The configuration is not resolved.
-    """
+    """Return a policy of a configuration if it is a `PolicyReference`, as it is after `resolve_config`."""
     if not isinstance(policy, PolicyReference):
         raise TypeError("the configuration is not resolved; call resolve_config() first")
     return policy

@@ -215,9 +215,6 @@ def resolve_policies(
     """Return references of the policies of one agent, without duplicates, in the given order.
 
     With `trust`, policy files may run code.
-
-    Raises:
-        OptionError: No policy is given, or two different ones have the same label.
     """
     requested: Any = [policies] if isinstance(policies, (str, type, Policy, PolicyReference)) else policies
     if not isinstance(requested, Sequence) or not requested:

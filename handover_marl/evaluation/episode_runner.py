@@ -67,9 +67,6 @@ class EpisodeRunner:
         """Simulate a scene to the end of its episode; return the result and the content of each writer's file.
 
         A `receiver` plays instead of the configured one.
-
-        Raises:
-            HandoverError: The scene cannot be simulated, its data differ from the main machine's, or a policy fails.
         """
         scene = self.dataset.load_scene(task.scene_id)
         fingerprint = self.dataset.compute_fingerprint(task.scene_id)
@@ -118,10 +115,6 @@ def run_episodes(
 
     Returns:
         Generator of pairs (index in `tasks`, finished episode); closing it ends the tasks that still run.
-
-    Raises:
-        WorkerError: Two workers died over the same scene, or the cluster cannot be used.
-        HandoverError: Error of the library in a worker, raised again with its type.
     """
     # Without tasks there is no need to connect to a cluster.
     n_workers = min(pool.n_workers, len(tasks)) if tasks else 0

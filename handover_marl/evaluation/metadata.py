@@ -149,10 +149,6 @@ def parse_world_label(label: str) -> WorldConfig:
     """Return the official world and rules with the noise that a label states.
 
     Other differences from the official ones cannot be read from a label.
-
-    Raises:
-        ValueError: The noise is not a number.
-        OptionError: The noise is out of range.
     """
     noise = label.removeprefix(_NOISE_PREFIX)
     return OFFICIAL_CONFIG if noise == label else replace(OFFICIAL_CONFIG, initial_joint_noise=float(noise))
@@ -173,12 +169,7 @@ def format_merged_config(path: Path) -> str:
 
 
 def read_result_metadata(path: Path) -> ResultMetadata:
-    """Read the identity of a result folder, of this library or of HandoverSim.
-
-    Raises:
-        ResultsError: `config.yaml` cannot be read or is malformed, has no official setup and split,
-            or claims the official rules but has other values.
-    """
+    """Read the identity of a result folder, of this library or of HandoverSim."""
     config_path, content = path / CONFIG_FILE, _read_yaml(path)
     try:
         benchmark, library = content["BENCHMARK"], content.get(_LIBRARY_SECTION)
@@ -199,12 +190,7 @@ def read_result_metadata(path: Path) -> ResultMetadata:
 
 
 def check_metadata(metadata: ResultMetadata, path: Path) -> None:
-    """Check the identity of an evaluation that was read from the file `path`, which errors name.
-
-    Raises:
-        ResultsError: Setup, split, physics, robot or observation mode does not exist, or a value is no
-            text that can be printed.
-    """
+    """Check the identity of an evaluation that was read from the file `path`, which errors name."""
     for key, value in asdict(metadata).items():
         # Control characters could change a terminal that prints the report.
         if not isinstance(value, str) or not value.isprintable() or len(value) > _MAX_TEXT:

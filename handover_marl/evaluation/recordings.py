@@ -109,11 +109,7 @@ def format_replay_facts(config: EvaluationConfig, models: str) -> str:
 
 
 class ReplayWriter(EpisodeWriter):
-    """Writer of a replay page for each episode, or for each failed episode, in a result folder.
-
-    Raises:
-        ResultsError: The folder for the pages cannot be created.
-    """
+    """Writer of a replay page for each episode, or for each failed episode, in a result folder."""
 
     def __init__(self, folder: Path, replays: str) -> None:
         super().__init__(folder / REPLAYS)

@@ -130,9 +130,6 @@ class EpisodeWriter(ABC):
 
     The main process writes; worker processes hold a pickled copy, which only creates recorders. Temporary files of
     killed processes are removed.
-
-    Raises:
-        ResultsError: The folder cannot be created.
     """
 
     def __init__(self, path: Path) -> None:
@@ -166,11 +163,7 @@ class EpisodeWriter(ABC):
         return self.get_path(result).is_file()
 
     def write(self, result: EpisodeResult, content: bytes) -> None:
-        """Write the content of an episode's file; write no file if the content is empty.
-
-        Raises:
-            ResultsError: The file cannot be written.
-        """
+        """Write the content of an episode's file; write no file if the content is empty."""
         if content:
             write_atomically(self.get_path(result), content)
 
@@ -199,9 +192,6 @@ class ResultFolder(EpisodeWriter):
 
     The `config` is the content of its `config.yaml`, by default that for the official world and rules. With
     `overwrite`, the results of an earlier evaluation are deleted first.
-
-    Raises:
-        ResultsError: The folder belongs to another evaluation, holds other files, or cannot be written.
     """
 
     def __init__(self, path: Path, metadata: ResultMetadata, config: str = "", overwrite: bool = False) -> None:
@@ -230,11 +220,7 @@ class ResultFolder(EpisodeWriter):
             )
 
     def read(self, index: int, fingerprint: str) -> EpisodeResult | None:
-        """Read the result of a scene by its index in the split; None if the result file is missing or damaged.
-
-        Raises:
-            ResultsError: The result was computed from other data: it has another `fingerprint`.
-        """
+        """Read the result of a scene by its index in the split; None if the result file is missing or damaged."""
         path = get_result_path(self.path, index)
         try:
             result = read_result(path)[0] if path.is_file() else None
@@ -271,12 +257,7 @@ def encode_result(
 
 
 def read_results(path: Path, allow_empty: bool = False) -> list[EpisodeResult]:
-    """Read all results of a folder, ordered by index.
-
-    Raises:
-        ResultsError: A file is damaged, two are of the same scene, or the folder has no results although `allow_empty`
-            is False.
-    """
+    """Read all results of a folder, ordered by index."""
     files = find_numbered(path, ".npz").values()
     if not files and not allow_empty:
         raise ResultsError(f"{path} has no result files (000.npz, 001.npz, ...)")
@@ -306,9 +287,6 @@ def read_result(path: Path) -> tuple[EpisodeResult, npt.NDArray[Any]]:
     """Return the result of an episode and the array `action` from its official result file.
 
     The array is not checked; it should be (T, 9) for T physics steps, and is empty if the file has none.
-
-    Raises:
-        ResultsError: The file is damaged, or its values are impossible.
     """
     try:
         arrays = read_arrays(path, largest=_MAX_BYTES)
@@ -324,11 +302,7 @@ def read_result(path: Path) -> tuple[EpisodeResult, npt.NDArray[Any]]:
 
 
 def _parse_result(values: Mapping[str, Any]) -> EpisodeResult:
-    """Return the result of an episode from values of `EpisodeResult` and `FluencyMetrics` that were read from a file.
-
-    Raises:
-        KeyError, TypeError, ValueError: A value is missing, of another type or impossible.
-    """
+    """Make the result of an episode from values of `EpisodeResult` and `FluencyMetrics` in a file."""
     status, steps, plan_s = EpisodeStatus(int(values["status"])), int(values["steps"]), float(values["plan_s"])
     kinds = {"index": int} | {key: kind for key, kind in _EXTRAS.items() if values.get(key) is not None}
     known = {key: _check_scalar(key, values[key], kind) for key, kind in kinds.items()}
@@ -377,11 +351,7 @@ def format_episode_file(metadata: ResultMetadata, episodes: Iterable[EpisodeResu
 
 
 def read_episode_file(path: Path) -> tuple[ResultMetadata, list[EpisodeResult]]:
-    """Read an episode file: the identity of the evaluation, and its results ordered by index.
-
-    Raises:
-        ResultsError: The file cannot be read, or its values are impossible.
-    """
+    """Read an episode file: the identity of the evaluation, and its results ordered by index."""
     try:
         content = json.loads(read_plain_file(path, _MAX_BYTES))
         metadata = ResultMetadata(**content["metadata"])

@@ -333,11 +333,7 @@ class StoredActions:
 
 
 def check_actions(path: Path, actions: npt.NDArray[Any], n_steps: int) -> Actions:
-    """Return the actions (T, 9) of a result file as float32, checked to be finite and one for each of `n_steps` steps.
-
-    Raises:
-        ResultsError: The actions have another shape or type, or are not finite.
-    """
+    """Return actions (T, 9) of a result file as float32, checked to be finite and one for each of `n_steps` steps."""
     if actions.shape != (n_steps, PANDA_DOF) or actions.dtype.kind != "f" or not np.isfinite(actions).all():
         raise ResultsError(
             f"{path}: action must be finite float32 of shape ({n_steps}, {PANDA_DOF}), got {actions.dtype} "

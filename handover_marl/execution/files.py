@@ -19,11 +19,7 @@ _STALE_S = 24 * 3600.0
 
 
 def write_atomically(path: Path, content: bytes | str) -> None:
-    """Write a file under a temporary name in the same folder, then rename it.
-
-    Raises:
-        ResultsError: The file cannot be written, e.g. because the disk is full. An existing file stays as it was.
-    """
+    """Write a file under a temporary name in the same folder, then rename it."""
     with _write_temporary(path, content) as temporary:
         temporary.replace(path)
 
@@ -62,10 +58,6 @@ def exclusive_lock(folder: Path) -> Iterator[None]:
     """Hold an exclusive lock on a folder during a `with` block.
 
     On a file system without locks this has no effect.
-
-    Raises:
-        ResultsError: Another process holds the lock.
-        OSError: The folder cannot be opened.
     """
 
     def refuse() -> None:
@@ -92,20 +84,12 @@ def wait_for_lock(path: Path, on_wait: Callable[[], object]) -> Iterator[None]:
 
 
 def has_content(path: Path, content: bytes) -> bool:
-    """Check whether a path is a regular file with exactly this content.
-
-    Raises:
-        OSError: The file cannot be read.
-    """
+    """Check whether a path is a regular file with exactly this content."""
     return path.is_file() and path.stat().st_size == len(content) and path.read_bytes() == content
 
 
 def write_arrays(path: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
-    """Write arrays as an `.npz` file, atomically.
-
-    Raises:
-        ResultsError: The file cannot be written.
-    """
+    """Write arrays as an `.npz` file, atomically."""
     write_atomically(path, encode_arrays(arrays))
 
 

@@ -66,11 +66,7 @@ def count_available_cores() -> int:
 
 
 def resolve_worker_count(workers: int | None) -> int:
-    """Return the number of worker processes; None means one per core.
-
-    Raises:
-        OptionError: The number is not an integer of at least 1.
-    """
+    """Return the number of worker processes; None means one per core."""
     return count_available_cores() if workers is None else check_positive_integer("workers", workers)
 
 
@@ -91,11 +87,7 @@ class PoolConfig:
 
 
 def check_path(name: str, path: object) -> Path:
-    """Check that an option is a path, and return it with `~` expanded.
-
-    Raises:
-        OptionError: The value has another type, is empty, or cannot be a path.
-    """
+    """Check that an option is a path, and return it with `~` expanded."""
     try:
         text = os.fsdecode(path)  # type: ignore[arg-type]
         if not text or "\0" in text:
@@ -108,22 +100,14 @@ def check_path(name: str, path: object) -> Path:
 
 
 def check_positive_integer(name: str, value: object) -> int:
-    """Check that an option is an integer of at least 1, and return it as int.
-
-    Raises:
-        OptionError: The option is not such an integer.
-    """
+    """Check that an option is an integer of at least 1, and return it as int."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
         raise OptionError(f"{name} must be an integer of at least 1, got {value!r}")
     return int(value)
 
 
 def check_boolean(name: str, value: object) -> None:
-    """Check that an option is True or False; text such as "no" would count as true.
-
-    Raises:
-        OptionError: The value has another type.
-    """
+    """Check that an option is True or False; text such as "no" would count as true."""
     if not isinstance(value, bool):
         raise OptionError(f"{name} must be True or False, got {value!r}")
 
@@ -141,22 +125,14 @@ def is_pybullet_installed() -> bool:
 
 
 def require_modules(feature: str, extra: str, *modules: str, advice: str = "") -> None:
-    """Check that optional modules are installed; the error names the feature, their extra and an advice.
-
-    Raises:
-        OptionError: A module is not installed.
-    """
+    """Check that optional modules are installed; the error names the feature, their extra and an advice."""
     missing = [module for module in modules if not is_installed(module)]
     if missing:
         raise OptionError(f"{feature} needs {' and '.join(missing)}: pip install 'handover-marl[{extra}]'{advice}")
 
 
 def require_pybullet(feature: str, advice: str) -> None:
-    """Check that PyBullet is installed; the error names the feature that needs it, and what to do without it.
-
-    Raises:
-        OptionError: PyBullet is not installed.
-    """
+    """Check that PyBullet is installed; the error names the feature that needs it, and what to do without it."""
     if not is_pybullet_installed():
         raise OptionError(
             f"{feature} needs PyBullet, which is not installed (it has wheels up to Python 3.13); {advice}"

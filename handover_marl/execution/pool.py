@@ -72,10 +72,6 @@ class Pool:
                 each worker process, before its first task.
             tasks: Picklable arguments of the function.
             describe: Short description of a task for messages, such as "simulating scene 209".
-
-        Raises:
-            WorkerError: A worker process died, or a task failed with an error that is not one of this library.
-            HandoverError: A task failed with this error of the library.
         """
         if min(self.n_workers, len(tasks)) <= 1:
             if tasks:
@@ -150,11 +146,7 @@ class RayPool:
 
     @functools.cached_property
     def n_workers(self) -> int:
-        """Number of tasks that run at a time; the first query connects this process to the cluster.
-
-        Raises:
-            WorkerError: The cluster cannot be reached.
-        """
+        """Number of tasks that run at a time; the first query connects this process to the cluster."""
         import ray
 
         if not ray.is_initialized():
@@ -251,9 +243,6 @@ def _check_server(address: str) -> None:
     """Check that something listens at "host:port" or "ray://host:port"; Ray itself would try for a quarter of an hour.
 
     Other addresses such as "auto" are left to Ray.
-
-    Raises:
-        OSError: Nothing listens.
     """
     host, _, port = address.removeprefix("ray://").rpartition(":")
     if port.isdecimal():
@@ -267,9 +256,6 @@ def open_pool(config: PoolConfig) -> AnyPool:
     """Return a worker pool with a configuration; close it after its last job.
 
     Processes are started, and Ray clusters connected to, for the first task.
-
-    Raises:
-        OptionError: The number of workers is invalid, or Ray is not installed.
     """
     n_workers = resolve_worker_count(config.workers)
     if config.ray_address is None:

@@ -28,10 +28,6 @@ def check_plain_file(path: Path, largest: int = MAX_FILE_BYTES) -> int:
     """Check that a path is a plain file, or a link to one, of at most `largest` bytes; return its size (bytes).
 
     Call it before code that opens the path itself.
-
-    Raises:
-        ValueError: The path is a folder, pipe, socket or device, or the file is too large.
-        OSError: The path does not exist or cannot be looked up.
     """
     state = path.stat()
     if not stat.S_ISREG(state.st_mode):
@@ -49,13 +45,7 @@ def read_plain_file(path: Path, largest: int = MAX_FILE_BYTES) -> bytes:
 
 
 def check_archive(source: Path | bytes, largest: int) -> None:
-    """Check that a zip archive, a file or its content, states file sizes of at most `largest` bytes in all.
-
-    Raises:
-        ValueError: The file is not a plain file, or too large.
-        Exception: The source is not an archive.
-        OSError: The file cannot be opened.
-    """
+    """Check that a zip archive, a file or its content, states file sizes of at most `largest` bytes in all."""
     if isinstance(source, Path):
         check_plain_file(source, largest + _MAX_ARCHIVE_OVERHEAD)
     with zipfile.ZipFile(io.BytesIO(source) if isinstance(source, bytes) else source) as archive:
@@ -72,9 +62,6 @@ def read_arrays(
         source: The file, or its content.
         names: Names of the arrays to read, which the file must contain; None for all its arrays.
         largest: Largest allowed size after unpacking (bytes).
-
-    Raises:
-        Exception: The file is damaged; NumPy and zipfile then raise exceptions of many kinds.
     """
     check_archive(source, largest)
     with np.load(io.BytesIO(source) if isinstance(source, bytes) else source, allow_pickle=False) as archive:
@@ -86,12 +73,7 @@ def read_arrays(
 
 
 def read_yaml(path: Path, largest: int) -> object:
-    """Return the content of a YAML file of at most `largest` bytes: numbers, text, lists and mappings, without aliases.
-
-    Raises:
-        ValueError: The file is not a plain file, is too large, or is not YAML.
-        OSError: The file cannot be opened.
-    """
+    """Read a YAML file of at most `largest` bytes: numbers, text, lists and mappings, without aliases."""
     data = read_plain_file(path, largest)
     try:
         return yaml.load(data, _LoaderWithoutAliases)
@@ -116,11 +98,6 @@ def report_damage(path: Path, what: str, advice: str) -> Iterator[None]:
     The errors name the file, what it is (`what`), and what the user can do (`advice`).
 
     Readers of damaged files raise exceptions of many types. Errors that already name the file are not changed.
-
-    Raises:
-        DataNotFoundError: The file does not exist.
-        UnsafeFileError: A pickle in the file may run code.
-        DataFormatError: The file is damaged.
     """
     try:
         yield

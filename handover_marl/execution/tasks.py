@@ -83,11 +83,7 @@ def pickle_result(result: object) -> bytes:
 
 
 def unpickle_result(pickled: bytes) -> Any:
-    """Return the result of a task, given what `run_pickled_task` returned.
-
-    Raises:
-        HandoverError: The task failed.
-    """
+    """Return the result of a task, given what `run_pickled_task` returned."""
     result = unpickle(pickled)
     if isinstance(result, HandoverError):
         raise result

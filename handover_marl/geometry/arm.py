@@ -50,9 +50,6 @@ class ArmKinematics:
     Attributes:
         link_names: Names of the ten links in the order of their numbers.
         n_joints: Number of revolute joints.
-
-    Raises:
-        SimulationError: A Panda link is missing, or a joint's axis is not z.
     """
 
     def __init__(self, tree: KinematicTree) -> None:

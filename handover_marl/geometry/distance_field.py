@@ -104,9 +104,6 @@ def load_object_sdf(urdf: Path, margin: float) -> DistanceField:
 
     The field is in the frame of the link that has the shapes, which may overlap and have holes. The grid extends
     `margin` (m) beyond the shapes.
-
-    Raises:
-        DataFormatError: The URDF file or a mesh cannot be read.
     """
     return _load_object_sdf(urdf, urdf.stat().st_mtime_ns, margin)
 

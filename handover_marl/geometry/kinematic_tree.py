@@ -176,11 +176,7 @@ def compute_tree_frames(
 
 
 def read_tree(urdf: Path) -> KinematicTree:
-    """Read the kinematic tree of a URDF file; an unchanged file is read once.
-
-    Raises:
-        SimulationError: The file is not a URDF, or has a joint that is not revolute, continuous, prismatic or fixed.
-    """
+    """Read the kinematic tree of a URDF file; an unchanged file is read once."""
     try:
         return _read_tree(urdf, urdf.stat().st_mtime_ns)
     except (OSError, ValueError, KeyError, AttributeError) as error:
@@ -240,9 +236,6 @@ def compute_link_trajectory(
 
     Returns:
         Origins (n, L, 3) of the L links (m), and rotation matrices (n, L, 3, 3) from link to world frame.
-
-    Raises:
-        SimulationError: The URDF file cannot be read.
     """
     origins, rotations = read_tree(urdf).compute_link_frames(dof)
     base = np.asarray(world_from_base, dtype=np.float64)
@@ -265,12 +258,7 @@ class TreeBank:
         self._levels: Sequence[tuple[AnyArray, AnyArray]] = ()
 
     def add(self, urdf: Path) -> int:
-        """Copy the constants of a model to the device, unless they are there, and return the model's number.
-
-        Raises:
-            OptionError: The model has other joints than the models before.
-            SimulationError: The file is not a URDF.
-        """
+        """Copy the constants of a model to the device, unless they are there, and return the model's number."""
         key = urdf, urdf.stat().st_mtime_ns
         if key not in self._numbers:
             self._numbers[key] = self._add(urdf)

@@ -59,11 +59,6 @@ class AdaptiveGiver(ArrayGiver):
         context: Robot, task and known grasps of the objects.
         weights: Policy file of `experiments/training/train_giver_offers.py`; default: the one that ships.
         options: Numbers in `AdaptiveConfig`.
-
-    Raises:
-        OptionError: An option is unknown, or its value is out of range.
-        DataNotFoundError: The policy file does not exist.
-        DataFormatError: The policy file is damaged or has another kind of network.
     """
 
     name = "adaptive"

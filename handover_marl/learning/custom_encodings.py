@@ -94,10 +94,6 @@ class CustomFeatures(ArrayFeatures):
         count: Number n of episodes.
         arrays: Factory of the feature vectors; the functions themselves get and return NumPy arrays.
         name: Name of the features; default: the name of the class or function.
-
-    Raises:
-        OptionError: The size is missing or malformed, or the features are for the other agent.
-        EncodingError: The constructor of the class fails.
     """
 
     uses_camera = True
@@ -119,11 +115,7 @@ class CustomFeatures(ArrayFeatures):
             reset()
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the feature vectors (r, size), float32, of the episodes with indices `rows`.
-
-        Raises:
-            EncodingError: The features fail, or return anything but `size` finite float32 numbers.
-        """
+        """Return the feature vectors (r, size), float32, of the episodes with indices `rows`."""
         found = [
             _check_vector(self._what, _run(self._what, self._functions[row], one), self.size)
             for row, one in _split_episodes(rows, observation)
@@ -150,11 +142,6 @@ class CustomScheme(ArrayScheme):
         agent: "giver" or "receiver".
         choice: Subclass of `ActionScheme`, or function from outputs and observation to an action.
         context, count, arrays, name: As for `CustomFeatures`.
-
-    Raises:
-        OptionError: The size is missing or malformed, the scheme is for the other agent, or the class
-            is no `ActionScheme`.
-        EncodingError: The constructor of the class fails.
     """
 
     def __init__(
@@ -188,11 +175,7 @@ class CustomScheme(ArrayScheme):
             _run(self._what, self._schemes[row].set_outputs, own)
 
     def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the actions of the episodes with indices `rows`, float32: (r, 8) of givers or (r, 9) of receivers.
-
-        Raises:
-            EncodingError: A scheme fails, or returns anything but a finite float32 action.
-        """
+        """Return the actions of the episodes with indices `rows`, float32: (r, 8) of givers or (r, 9) of receivers."""
         what, size = f"action of {self._what}", _ACTION_SIZES[self.agent]
         found = [
             _check_vector(what, _run(self._what, self._schemes[row].compute_action, one), size)

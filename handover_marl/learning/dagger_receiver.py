@@ -19,10 +19,6 @@ class DaggerReceiver(FunctionPolicy):
     Args:
         context: Robot, task and known grasps of the objects.
         weights: Policy file; default: the one that ships.
-
-    Raises:
-        DataNotFoundError: The policy file does not exist.
-        DataFormatError: The policy file is damaged or for another agent.
     """
 
     name = "dagger"

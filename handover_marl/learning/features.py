@@ -53,31 +53,19 @@ class AgentFeatures:
         self._features.reset(0)
 
     def __call__(self, observation: Observation) -> Vector:
-        """Return the features (size,) of an observation, float32.
-
-        Raises:
-            EncodingError: User-defined features fail, or return anything but an element of their space.
-        """
+        """Return the features (size,) of an observation, float32."""
         vector: Vector = self._features(ONLY_ROW, add_episode_axis(observation))[0]
         return vector
 
 
 def list_features(agent: str) -> tuple[str, ...]:
-    """Return the names of the built-in features of an agent, "giver" or "receiver".
-
-    Raises:
-        UnknownNameError: There is no such agent.
-    """
+    """Return the names of the built-in features of an agent, "giver" or "receiver"."""
     check_name("agent", agent, ("giver", "receiver"))
     return tuple(name for name, features in _FEATURES.items() if features.agent == agent)
 
 
 def count_features(agent: str, name: str) -> int:
-    """Return how many numbers an agent's built-in features `name` have; for others use `make_features(...).size`.
-
-    Raises:
-        UnknownNameError: The agent is unknown or has no features of that name.
-    """
+    """Return how many numbers an agent's built-in features `name` have; for others use `make_features(...).size`."""
     check_name(f"{FEATURES} of the {agent}", name, list_features(agent))
     return _FEATURES[name].size
 
@@ -90,11 +78,6 @@ def make_features(agent: str, choice: FeaturesLike, context: PolicyContext) -> A
         choice: Name of built-in features; subclass of `FeatureExtractor`; function with a declared size
             (`declare_size`); or text `module:name` of a class or function.
         context: Task and known grasps of the objects, which some features contain.
-
-    Raises:
-        UnknownNameError: The agent is unknown or has no features of that name.
-        OptionError: User-defined features declare no size, or are for the other agent.
-        EncodingError: The constructor of user-defined features fails.
     """
     return AgentFeatures(make_array_features(agent, choice, context, LowestCostGraspSelector(context, 1), 1))
 

@@ -27,22 +27,13 @@ _DEFAULT_PERIOD = 0.1  # s, as that of environments
 
 
 def check_policy_path(path: Path) -> None:
-    """Check that a policy file can have this path, so that a training does not fail at its end.
-
-    Raises:
-        OptionError: The path does not end in .npz.
-    """
+    """Check that a policy file can have this path, so that a training does not fail at its end."""
     if path.suffix != ".npz":
         raise OptionError(f"a policy file to write must end in .npz, got {path}; choose another name")
 
 
 def write_policy(path: Path, spec: PolicySpec, network: DenseNetwork) -> None:
-    """Write a network and its encoding, with names or `module:name` as features and actions, to a policy file (.npz).
-
-    Raises:
-        OptionError: The path does not end in .npz.
-        ResultsError: The file cannot be written.
-    """
+    """Write a network and the names (or `module:name`) of its features and action scheme to a policy file (.npz)."""
     check_policy_path(path)
     arrays: dict[str, npt.NDArray[Any]] = {f"weight_{number}": weight for number, weight in enumerate(network.weights)}
     arrays |= {f"bias_{number}": bias for number, bias in enumerate(network.biases)}
@@ -68,12 +59,6 @@ def read_policy(path: Path, agent: str, trust: bool = False, **given: Any) -> tu
     Returns:
         Encoding, network from features to outputs, and unique label of the policy in result files: file name and a
         hash of the content.
-
-    Raises:
-        DataNotFoundError: The file does not exist or cannot be read.
-        DataFormatError: The file is damaged, or the policy is for another agent or other spaces.
-        UnsafeFileError: The file contains Python objects or code, or names a module, and is not trusted.
-        OptionError: The suffix is unknown, a package is missing, or a value that is not recorded is not given.
     """
     try:
         content = read_plain_file(path)
@@ -107,10 +92,6 @@ def complete_spec(
         agent: Agent that the policy must control; None for the recorded one.
         recorded: Fields of `PolicySpec` by name that the training recorded.
         given: Fields of `PolicySpec` by name that the caller chooses; None as a value means not chosen.
-
-    Raises:
-        DataFormatError: The policy was trained for the other agent.
-        OptionError: A field is missing or out of range, or the control period differs from the one in training.
     """
     if agent is not None and recorded.get("agent", agent) != agent:
         raise DataFormatError(f"{where}: policy must be for the {agent}, got one for the {recorded['agent']}")

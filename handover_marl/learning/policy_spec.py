@@ -90,9 +90,6 @@ class DenseNetwork:
         output: Activation after the last layer, a key of `ACTIVATIONS`.
         normalization: Normalization of the inputs, or None.
         bounds: Bounds to which the outputs are mapped, or None.
-
-    Raises:
-        DataFormatError: Shapes do not match, a number is not finite, or an activation is unknown.
     """
 
     weights: tuple[Array, ...]

@@ -34,9 +34,6 @@ def count_outputs(agent: str, name: str) -> int:
     """Return the number of outputs that a built-in action scheme, one of `list_schemes(agent)`, decodes.
 
     The number of outputs of a user-defined scheme is `make_scheme(...).size`.
-
-    Raises:
-        UnknownNameError: The agent has no scheme of that name.
     """
     check_name(f"{SCHEME} of the {agent}", name, list_schemes(agent))
     return _SCHEMES[name].size
@@ -51,11 +48,6 @@ def make_scheme(agent: str, choice: SchemeLike, context: PolicyContext) -> Singl
             (size,) and an observation to an action, with a declared size (`declare_size`); or text
             `module:name` of a class or function.
         context: Robot, task and known grasps of the objects.
-
-    Raises:
-        UnknownNameError: The agent has no scheme of that name.
-        OptionError: A user-defined scheme declares no size, or is for the other agent.
-        EncodingError: The constructor of a user-defined scheme fails.
     """
     return SingleScheme(make_array_scheme(agent, choice, context, LowestCostGraspSelector(context, 1), 1), context)
 

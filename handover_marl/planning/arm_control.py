@@ -38,11 +38,7 @@ class ArmInWorld:
 
     @classmethod
     def for_panda(cls, urdf: Path, panda: PandaConfig, padding: float = 0.0) -> "ArmInWorld":
-        """Create the kinematics of a Panda at its configured base pose, with each limit narrowed by `padding` (rad).
-
-        Raises:
-            SimulationError: The model cannot be read.
-        """
+        """Create the kinematics of a Panda at its configured base pose, with each limit narrowed by `padding` (rad)."""
         limits = np.array(LOWER_LIMITS[:ARM_DOF]) + padding, np.array(UPPER_LIMITS[:ARM_DOF]) - padding
         base = np.array([*panda.base_position, *panda.base_orientation])
         return cls(ArmKinematics(read_tree(urdf)), base, limits)

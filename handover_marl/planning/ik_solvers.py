@@ -136,9 +136,6 @@ def make_ik_stepper(urdf: Path, config: PandaConfig) -> IkStepper:
     """Create an IK solver of few iterations, which may not converge, for a Panda's model at the base pose of `config`.
 
     The solver is PyBullet's where PyBullet is installed.
-
-    Raises:
-        SimulationError: The model cannot be read.
     """
     if not is_pybullet_installed():
         return PandaIkSolver(urdf, config)
@@ -171,9 +168,6 @@ class ThreadIkSolver(IkSolver):
     Args:
         urdf: Model of the Panda.
         config: Configuration with the world pose of the robot's base.
-
-    Raises:
-        SimulationError: The model cannot be read.
     """
 
     def __init__(self, urdf: Path, config: PandaConfig) -> None:
@@ -223,9 +217,6 @@ class PandaIkSolver(IkSolver):
     Args:
         urdf: Model of the Panda.
         config: Configuration with the world pose of the robot's base.
-
-    Raises:
-        SimulationError: The model cannot be read, or is not a Panda.
     """
 
     def __init__(self, urdf: Path, config: PandaConfig) -> None:

@@ -97,10 +97,6 @@ class Planner:
         start: (7,) configuration at which planned trajectories start (rad).
         config: Configuration of the planner.
 
-    Raises:
-        SimulationError: The model is not a Panda.
-        DataFormatError: A mesh cannot be read.
-
     Attributes:
         arm: Kinematics of the arm in its base frame.
     """

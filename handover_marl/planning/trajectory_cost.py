@@ -28,9 +28,6 @@ def sample_body_points(urdf: Path, link_names: tuple[str, ...], count: int) -> t
 
     Vertices are selected by farthest point sampling, so that finely meshed details do not attract
     most of the points as they do in random sampling.
-
-    Raises:
-        DataFormatError: A link has no mesh, or a file cannot be read.
     """
     return _cached_body_points(urdf, urdf.stat().st_mtime_ns, link_names, count)
 

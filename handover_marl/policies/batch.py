@@ -34,9 +34,6 @@ class PolicyBatch(ABC):
             row: Index of the episode.
             seed: Seed of the policy in this episode.
             object_names: Class names of the objects, the one that is handed over first.
-
-        Raises:
-            PolicyError: The policy fails.
         """
 
     @abstractmethod
@@ -47,9 +44,6 @@ class PolicyBatch(ABC):
             rows: Indices (r,) of the episodes.
             observe: Function that returns the observations of some episodes; called for episodes with a decision.
             steps: Physics steps (r,) since the start of each episode.
-
-        Raises:
-            PolicyError: The policy fails.
         """
 
 

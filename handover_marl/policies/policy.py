@@ -252,11 +252,7 @@ def make_giver_action(
 
 
 def milliseconds_from_wait(wait: float) -> int:
-    """Convert a waiting time (s) to whole milliseconds.
-
-    Raises:
-        OptionError: The time is not a number from 0 to 60.
-    """
+    """Convert a waiting time (s) to whole milliseconds."""
     if isinstance(wait, bool) or not isinstance(wait, (int, float)) or not 0.0 <= wait <= _MAX_WAIT:
         raise OptionError(f"wait must be a time from 0 to {_MAX_WAIT:g} s, got {shorten_text(repr(wait))}")
     return round(1000.0 * wait)
@@ -269,10 +265,6 @@ def check_policy_class(agent: str, policy_class: Any, name: str) -> None:
         agent: "giver" or "receiver".
         policy_class: Object to check.
         name: Name of the policy for error messages.
-
-    Raises:
-        OptionError: The object is not a policy class of the agent, or a method or class attribute
-            is missing or invalid.
     """
     is_policy = isinstance(policy_class, type) and issubclass(policy_class, Policy)
     if not is_policy or policy_class.agent not in (agent, None):
@@ -289,11 +281,7 @@ def check_policy_class(agent: str, policy_class: Any, name: str) -> None:
 
 
 def check_policy_options(agent: str, policy_class: type, name: str, options: Iterable[str]) -> None:
-    """Check that a policy class has constructor parameters called `options`; agent and name are for errors.
-
-    Raises:
-        OptionError: The constructor has no such parameter, or the library fills it in.
-    """
+    """Check that a policy class has constructor parameters called `options`; agent and name are for errors."""
     parameters = get_parameters(policy_class)
     any_name = {key for key, parameter in parameters.items() if parameter.kind is parameter.VAR_KEYWORD}
     valid = [key for key in parameters if key not in (*_RESERVED_PARAMETERS, *any_name)]
@@ -314,9 +302,6 @@ def require_reset(part: _Part | None, receiver_name: str) -> _Part:
     Args:
         part: The part, None before the first reset.
         receiver_name: Name of the receiver, for the error.
-
-    Raises:
-        ResetNeededError: There is no part yet, since `reset` was not called.
     """
     if part is None:
         raise ResetNeededError(f"receiver {receiver_name!r} cannot act before reset(); call reset() first")
@@ -330,10 +315,6 @@ def override_options(config: _Config, options: Mapping[str, object]) -> _Config:
         config: Configuration to change, a dataclass.
         options: Numbers by name: a field of the configuration, such as `near_period`, or a field of one of its
             sections after the name of the section, such as `approach_standoff`.
-
-    Raises:
-        UnknownNameError: The configuration has no number of a name.
-        OptionError: A value is not a finite number.
     """
     values = {field.name: getattr(config, field.name) for field in fields(config)}  # type: ignore[arg-type]
     sections = {name: section for name, section in values.items() if is_dataclass(section)}

@@ -202,10 +202,6 @@ class PopulationPolicy(Policy):
 
     Attributes:
         members: Policies of the members.
-
-    Raises:
-        OptionError: All members of the split need a camera.
-        HandoverError: The same errors as `load_population`.
     """
 
     name = "population"

@@ -87,11 +87,7 @@ class PolicyReference:
 
     @property
     def policy_class(self) -> type[Policy]:
-        """Class of the referenced policy.
-
-        Raises:
-            UnknownNameError: The class cannot be imported.
-        """
+        """Class of the referenced policy."""
         found = self._load()
         if isinstance(found, functools.partial):
             found = found.func
@@ -107,10 +103,6 @@ class PolicyReference:
             dataset: Robot model, objects and grasps for the policy; default: `open_dataset()`.
             config: World and rules for the policy.
             setup: Setup that is played; default: the first of the dataset.
-
-        Raises:
-            PolicyError: The constructor fails.
-            HandoverError: The policy file is missing, invalid, or runs code and is not trusted.
         """
         return self.make_from_context(make_policy_context(dataset or open_dataset(), config, setup))
 
@@ -143,11 +135,6 @@ class PolicyReference:
             dataset: Robot model, objects and grasps for the policy.
             config: World and rules for the policy.
             setup: Setup that is played; default: the first of the dataset.
-
-        Raises:
-            PolicyError: An attribute of the policy fails.
-            OptionError: An attribute of the policy has a wrong type, or its label cannot be printed.
-            HandoverError: The policy cannot be constructed; see `make`.
         """
         policy = self.make(dataset, config, setup)
         try:
@@ -183,10 +170,6 @@ class PolicyReference:
         Returns:
             For each file the option that names it, "" for the policy file; its name, "folder/file" for the files of a
             folder; and its content. Options that name nothing are left to the policy.
-
-        Raises:
-            DataNotFoundError: A file cannot be read.
-            DataFormatError: A file is a pipe or device, or too large.
         """
         found = [] if self.file is None else [("", "", Path(self.file).expanduser())]
         for option, value in self.options:
@@ -211,12 +194,7 @@ class PolicyReference:
 
 
 def read_policy_file(path: Path) -> bytes:
-    """Return the content of a file that a policy reads, for hashes or for other machines.
-
-    Raises:
-        DataNotFoundError: The file cannot be read.
-        DataFormatError: The path is a folder, pipe or device, or the file is too large.
-    """
+    """Return the content of a file that a policy reads, for hashes or for other machines."""
     try:
         return read_plain_file(path, _MAX_FILE_BYTES)
     except OSError as error:
@@ -242,12 +220,7 @@ class PolicyBundle:
 
     @classmethod
     def pack(cls, reference: PolicyReference) -> "PolicyBundle":
-        """Return a bundle of a policy reference and the contents of its policy file and of files that its options name.
-
-        Raises:
-            DataNotFoundError: A file cannot be read.
-            DataFormatError: A file is a pipe or device, or too large.
-        """
+        """Bundle a policy reference with the contents of its policy file and of files that its options name."""
         names = {find_package(reference.policy_class), *reference.packages} - {""}
         packages = tuple((name, hash_package(name)) for name in sorted(names))
         return cls(reference, packages, tuple(reference.read_files()))
@@ -257,9 +230,6 @@ class PolicyBundle:
 
         Args:
             folder: Existing folder for the bundle's files.
-
-        Raises:
-            PolicyError: The policy's code is not installed here, or differs.
         """
         try:
             _ = self.reference.policy_class
@@ -296,11 +266,6 @@ def parse_policy(agent: str, policy: PolicyLike, trust: bool = False) -> PolicyR
         agent: Agent that needs a policy, "giver" or "receiver".
         policy: A value of the table in this module's docstring.
         trust: Whether code in a policy file may run.
-
-    Raises:
-        UnknownNameError: No policy is registered under the name, or `agent` is neither "giver" nor "receiver".
-        OptionError: The policy cannot be imported or pickled, belongs to the other agent, or has no
-            such option; or `trust` is not a boolean.
     """
     check_boolean("trust", trust)
     extra: Mapping[str, Any] = {}

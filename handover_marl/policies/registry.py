@@ -17,21 +17,12 @@ GROUPS = {"giver": "handover_marl.givers", "receiver": "handover_marl.receivers"
 
 
 def list_available(agent: str) -> tuple[str, ...]:
-    """List the names of all registered policies for an agent, "giver" or "receiver", sorted.
-
-    Raises:
-        UnknownNameError: `agent` is neither "giver" nor "receiver".
-    """
+    """List the names of all registered policies for an agent, "giver" or "receiver", sorted."""
     return tuple(sorted({point.name for point in _find_points(_get_group(agent))}))
 
 
 def load_registered(agent: str, name: str) -> type | None:
-    """Load the class of the "giver" or "receiver" that is registered as `name`; return None for an unknown name.
-
-    Raises:
-        UnknownNameError: `agent` is neither "giver" nor "receiver".
-        OptionError: The class cannot be imported, or several packages register the name.
-    """
+    """Load the class of the "giver" or "receiver" that is registered as `name`; return None for an unknown name."""
     group = _get_group(agent)
     points = {point.value: point for point in _find_points(group).select(name=name)} if name else {}
     if len(points) > 1:
@@ -54,9 +45,6 @@ def import_reference(kind: str, text: str, valid: Iterable[str] = ("module:name"
         kind: Kind of what is imported, e.g. "features", for error messages.
         text: Text of the form `module:name`, from the user or accepted by `check_stored_reference`.
         valid: Other texts that would be valid, for error messages.
-
-    Raises:
-        UnknownNameError: The module cannot be imported or has no such name.
     """
     module, _, name = text.partition(":")
     try:
@@ -78,9 +66,6 @@ def check_stored_reference(
         trust: Whether modules that the file names may be imported.
         registered: Registered names, which may precede ":" and options.
         advice: Another way for the user to allow the import, for error messages.
-
-    Raises:
-        UnsafeFileError: The text names a module, and the file is not trusted.
     """
     head, colon, _ = text.partition(":")
     if colon and head not in registered and not trust:

@@ -31,12 +31,7 @@ DEVICES = (CPU, CUDA)
 
 
 def check_physics(physics: str) -> None:
-    """Check that a kind of physics exists and its engine is installed.
-
-    Raises:
-        UnknownNameError: There is no physics of that name.
-        OptionError: The engine is not installed.
-    """
+    """Check that a kind of physics exists and its engine is installed."""
     check_name("physics", physics, PHYSICS)
     if physics == MUJOCO:
         _require_mujoco("physics='mujoco'", "take physics='fast'")
@@ -57,11 +52,6 @@ def make_world(physics: str, config: PhysicsConfig, window: bool = False) -> Wor
         physics: Kind of physics, one of `PHYSICS`.
         config: Constants of the world.
         window: Whether to show the world in a window.
-
-    Raises:
-        UnknownNameError: There is no physics of that name.
-        OptionError: The engine is not installed, or cannot open a window.
-        SimulationError: A window was requested, but there is no screen.
     """
     check_physics(physics)
     # Engines are imported only when they are used: each is optional.
@@ -88,12 +78,7 @@ class BatchBackend:
 
 
 def check_backend(backend: BatchBackend) -> None:
-    """Check that a backend exists, and that its packages and its device are available.
-
-    Raises:
-        UnknownNameError: There is no backend or device of that name.
-        OptionError: A package or the device is missing, or the backend cannot use the device.
-    """
+    """Check that a backend exists, and that its packages and its device are available."""
     check_name("backend", backend.name, BACKENDS)
     check_name("device", backend.device, DEVICES)
     if backend.name == THREADS:
@@ -120,9 +105,6 @@ def make_worlds(config: PhysicsConfig, count: int, backend: BatchBackend, arrays
         count: Number of worlds.
         backend: Engine and device.
         arrays: Creator of arrays on this device: NumPy arrays, or tensors for MuJoCo Warp.
-
-    Raises:
-        OptionError: A package or the device is missing.
     """
     check_physics(MUJOCO)
     check_backend(backend)
@@ -141,9 +123,6 @@ def make_distance_query(panda_urdf: Path, config: PandaConfig) -> DistanceQuery:
     """Create a query of distances between a Panda's model, at the base pose of `config`, and a hand.
 
     The engine is PyBullet, or MuJoCo if PyBullet is not installed; the distances of both agree to 0.5 mm.
-
-    Raises:
-        SimulationError, DataFormatError: The model cannot be read.
     """
     if is_pybullet_installed():
         from handover_marl.simulation.bullet.kinematics import BulletDistanceQuery
@@ -161,10 +140,6 @@ def make_grasp_validator(
 
     The object has HandoverSim's chain of six joints. `config` has the conditions of a valid grasp, None the defaults.
     The hand link and the fingers are taken from the Panda `panda_urdf`.
-
-    Raises:
-        OptionError: MuJoCo is not installed.
-        SimulationError, DataFormatError: A model cannot be read.
     """
     _require_mujoco("the validation of grasps", "take another Python, or grasps=0 (--grasps 0) for a new object")
     from handover_marl.simulation.mujoco.grasp_validation import GraspValidator

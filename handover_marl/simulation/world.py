@@ -282,12 +282,7 @@ class World(ABC):
         self._scene = self._renderer = None
 
     def _get_scene_renderer(self) -> "SceneRenderer":
-        """Return the renderer of the current scene, with a physics client of its own; make it at the first image.
-
-        Raises:
-            ResetNeededError: There is no scene yet.
-            OptionError: PyBullet is not installed.
-        """
+        """Return the renderer of the current scene, with a physics client of its own; make it at the first image."""
         if self._scene is None:
             raise ResetNeededError("the world has no scene; call reset() first")
         if self._renderer is None or self._renderer.scene is not self._scene:
@@ -325,7 +320,4 @@ class RolloutWorld(World):
 
         Returns:
             Number (n,) of simulated steps of each world.
-
-        Raises:
-            SimulationError: The engine failed; the states of all worlds are invalid.
         """

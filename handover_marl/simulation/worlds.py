@@ -42,9 +42,6 @@ class Worlds(ABC):
 
         Returns:
             Number (r,) of simulated steps of each world.
-
-        Raises:
-            SimulationError: The engine failed; the states of all worlds are invalid.
         """
 
     @abstractmethod

@@ -83,12 +83,7 @@ class FrameRecorder(EpisodeCallback):
 
 
 def prepare_output_path(out: str | os.PathLike[str], suffixes: Sequence[str]) -> Path:
-    """Create the folder of an output file, check that it is writable, and return the file's path.
-
-    Raises:
-        OptionError: The suffix is none of `suffixes`, such as ".png", or needs a library that is not installed.
-        ResultsError: The folder cannot be created or written to.
-    """
+    """Create the folder of an output file, check that it is writable, and return the file's path."""
     path = check_path("out", out)
     suffix = path.suffix.lower()
     if suffix not in suffixes:

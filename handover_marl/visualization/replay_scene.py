@@ -80,10 +80,6 @@ def build_replay_page(log: ReplayRecorder, facts: str, camera: CameraConfig | No
     """Return a self-contained HTML page with the replay of an episode, and `facts` on data, policies and simulation.
 
     The initial camera is in front of the robot, unless `camera` is given.
-
-    Raises:
-        OptionError: The extra `replay` is not installed.
-        SimulationError, DataFormatError: A model or one of its meshes cannot be read.
     """
     info, steps = log.scene.info, log.frames[-1].step
     outcome = f"{log.status.label} after {steps * TIME_STEP:.2f} s" if log.status else "the recording alone"
@@ -281,11 +277,7 @@ def _quantize(values: Array, step: float) -> Array:
 
 
 def compute_link_trajectories(log: ReplayRecorder) -> Iterator[LinkTrajectory]:
-    """Yield the trajectories of all links with a visual mesh in a recorded episode.
-
-    Raises:
-        SimulationError, DataFormatError: A model or one of its meshes cannot be read.
-    """
+    """Yield the trajectories of all links with a visual mesh in a recorded episode."""
     assets, config = log.scene.assets, log.config.physics
     snapshots = [frame.snapshot for frame in log.frames]
     always = np.ones(len(snapshots), dtype=bool)

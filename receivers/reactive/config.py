@@ -130,9 +130,6 @@ def apply_risk(config: ReactiveConfig, risk: float) -> ReactiveConfig:
     """Return a copy of `config` with another trade-off between success rate and speed.
 
     The risk is a number from 0 (approach slowly, and only objects at rest) to 1 (fastest); that of `config` is 0.5.
-
-    Raises:
-        OptionError: `risk` is not a number from 0 to 1.
     """
     if isinstance(risk, bool) or not isinstance(risk, (int, float)) or not 0.0 <= risk <= 1.0:
         raise OptionError(f"risk must be a number from 0 to 1, got {risk!r}")

@@ -211,9 +211,6 @@ class ControllerReceiver(Receiver):
         wait: Time at the waiting pose (s).
         config: Configuration of grasp selection and motion.
 
-    Raises:
-        OptionError: `wait` is out of range.
-
     Attributes:
         arm: Kinematics of the arm.
         servo: Controller that converts joint velocities to motor targets.

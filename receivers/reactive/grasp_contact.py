@@ -63,9 +63,6 @@ def load_graspable_object(context: PolicyContext, object_name: str, config: Reac
     """Load the surface of an object class and its validated grasps, of which there may be none; cached.
 
     Known grasps are validated and improved in simulation, which may take minutes the first time.
-
-    Raises:
-        SimulationError: A model cannot be loaded.
     """
     urdf, known = context.find_object_urdf(object_name), load_hand_poses(context.load_grasps, object_name)
     if known is None:
@@ -93,11 +90,7 @@ def _load_graspable_object(
 
 @functools.lru_cache(maxsize=64)
 def load_obstacle(context: PolicyContext, object_name: str) -> Spheres:
-    """Load spheres that coarsely approximate the surface of an object class, in its own frame; cached.
-
-    Raises:
-        SimulationError: The model cannot be loaded.
-    """
+    """Load spheres that coarsely approximate the surface of an object class, in its own frame; cached."""
     vertices, faces = read_collision_mesh(context.find_object_urdf(object_name))
     return sample_surface_spheres(vertices, faces, _N_OBSTACLE_SPHERES, OBSTACLE_RADIUS)
 

@@ -206,10 +206,6 @@ def validate_grasps(
         panda_urdf: URDF of the Panda whose fingers are simulated.
         known: (n, 7) poses of the hand link in the object's frame, xyz (m) and quaternion xyzw.
         config: Tilts, offsets and conditions of the simulated trials.
-
-    Raises:
-        OptionError: MuJoCo is not installed.
-        SimulationError: A model cannot be loaded.
     """
     return grasps_from_record(get_validation_record(object_urdf, panda_urdf, known, config), known, config)
 

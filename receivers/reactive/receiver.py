@@ -25,9 +25,6 @@ class ReactiveReceiver(ControllerReceiver):
         config: Configuration of the receiver for a risk of 0.5.
         options: Numbers of the configuration, such as `approach_standoff=0.1`, which `risk` does not change; see
             `override_options`.
-
-    Raises:
-        OptionError: `wait` or `risk` is out of range, or an option is unknown.
     """
 
     name = "reactive"

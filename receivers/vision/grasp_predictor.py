@@ -39,11 +39,7 @@ GraspPredictor = Callable[[Array, Array, Array, np.random.Generator], GraspPredi
 
 
 def load_grasp_predictor(weights: str | Path) -> tuple[GraspPredictor, str]:
-    """Load the grasp predictor in the weight file of a `GraspNetwork`; return it with a short hash of its weights.
-
-    Raises:
-        DataNotFoundError, DataFormatError: The file does not exist, is damaged or holds another network.
-    """
+    """Load the grasp predictor in the weight file of a `GraspNetwork`; return it with a short hash of its weights."""
     # Imported here since PyTorch is optional, and slow to import.
     import torch
 

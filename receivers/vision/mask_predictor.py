@@ -39,11 +39,7 @@ MaskPredictor = Callable[[npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any]],
 
 
 def load_mask_predictor(weights: str | Path) -> tuple[MaskPredictor, str]:
-    """Load the segmentation network in a weight file; return its mask predictor and a short hash of the weights.
-
-    Raises:
-        DataNotFoundError, DataFormatError: The file does not exist, is damaged or holds another network.
-    """
+    """Load the segmentation network in a weight file; return its mask predictor and a short hash of the weights."""
     # Imported here since PyTorch is optional, and slow to import.
     import torch
 

@@ -38,11 +38,6 @@ class VisionReceiver(ControllerReceiver):
             setups of other data.
         masks: Segmentation of object, hand and other objects: "perfect" from the simulator, "predicted" by the network
             that ships, or a weight file of such a network.
-
-    Raises:
-        OptionError: `wait` or `risk` is out of range, or PyTorch is missing.
-        DataNotFoundError: The weight file does not exist.
-        DataFormatError: The weight file cannot be read.
     """
 
     name = "vision"

@@ -37,9 +37,6 @@ def close_hand(table: MotionTable, solid: Solid, hand: int, side: Side) -> tuple
     """Make finger angles (n, 45) in rad of a shipped hand, by number, that closes until the object is picked up.
 
     Returns the recording too, with the wrist moved by up to `MAX_SHIFT` where the hand would be inside of the object.
-
-    Raises:
-        DataFormatError: The wrist is not beside the object when it is picked up, or inside of it.
     """
     if table.wrist is None:
         raise DataFormatError("fingers need a wrist; add its poses or pass hand=None")

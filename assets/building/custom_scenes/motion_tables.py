@@ -117,12 +117,7 @@ class MotionTable:
 
 
 def read_motion_table(source: "str | Path | Mapping[str, npt.ArrayLike]", config: MotionConfig) -> MotionTable:
-    """Read recorded poses in the form of `config` from a CSV or NPZ file, or from arrays named as in NPZ files.
-
-    Raises:
-        DataNotFoundError: The file does not exist.
-        DataFormatError: A column is missing or malformed; the error names column and row.
-    """
+    """Read recorded poses in the form of `config` from a CSV or NPZ file, or from arrays named as in NPZ files."""
     if isinstance(source, Mapping):
         name, arrays = "the motion", dict(source)
     else:
@@ -223,11 +218,7 @@ def _parse_csv(path: Path, text: str) -> dict[str, Any]:
 
 
 def _parse_rows(path: Path, lines: Sequence[tuple[int, str]], separator: str, columns: Sequence[str]) -> Array:
-    """Return the numbers (T, c) in lines, each given after its number in the file; empty cells are NaN.
-
-    Raises:
-        DataFormatError: A line has more or fewer cells than there are `columns`, or a cell is not a number.
-    """
+    """Return the numbers (T, c) in lines, each given after its number in the file; empty cells are NaN."""
     values = np.empty((len(lines), len(columns)))
     for row, (number, line) in enumerate(lines):
         cells = line.split(separator)

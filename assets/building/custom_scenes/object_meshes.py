@@ -84,13 +84,7 @@ class ObjectMesh:
 
 
 def make_object_mesh(source: Path | trimesh.Trimesh, config: MeshConfig) -> ObjectMesh:
-    """Read a mesh, from a file of any format that trimesh reads, repair it, and divide it into convex parts.
-
-    Raises:
-        DataFormatError: The mesh has no solid body, or not the size of an object.
-        DataNotFoundError: The file does not exist.
-        OptionError: A package is missing.
-    """
+    """Read a mesh, from a file of any format that trimesh reads, repair it, and divide it into convex parts."""
     require_modules("an own object", "assets,import", "coacd", "trimesh")
     name = str(source) if isinstance(source, Path) else "the mesh"
     mesh, repairs = _repair_mesh(_read_mesh(source), config, name)

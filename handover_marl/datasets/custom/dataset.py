@@ -48,10 +48,6 @@ class CustomDataset(Dataset):
 
     Attributes:
         content: Content of `scenes.json`.
-
-    Raises:
-        UnknownNameError: The robot does not exist.
-        DataNotFoundError, DataFormatError: The folder has no `scenes.json`, or the file is damaged.
     """
 
     def __init__(self, folder: Path, robot: str = PANDA) -> None:
@@ -86,13 +82,7 @@ class CustomDataset(Dataset):
         return SceneInfo(scene_id, scene.name, scene.side, ids, scene.objects)
 
     def load_scene(self, scene_id: int) -> Scene:
-        """Load a scene with its motion in the world frame.
-
-        Raises:
-            SceneError: The scene number does not exist.
-            DataNotFoundError: A file is missing.
-            DataFormatError: A file is damaged.
-        """
+        """Load a scene with its motion in the world frame."""
         info = self.load_info(scene_id)
         path, has_hand = get_motion_path(self.folder, scene_id), self.content.scenes[scene_id].hand is not None
         shapes = {"object_dof": (len(info.object_ids), OBJECT_DOF), "hand_dof": (HAND_DOF,)}

@@ -35,10 +35,6 @@ def check_objects(objects: Float32, bodies: Mapping[str, Array]) -> None:
     """Check the motion of the objects of a scene: (T, n, 6) positions (m), intrinsic XYZ Euler angles (rad) at 1 kHz.
 
     `bodies` has the vertices (v, 3) of the n objects in their frames (m) by name, the handed-over one first.
-
-    Raises:
-        DataFormatError: An object is below the table, out of reach, far away, or jumps; or the motion is too long or
-            too short.
     """
     low, high = DURATION
     if not low <= (len(objects) - 1) / 1000.0 <= high + 1e-3:
@@ -62,10 +58,6 @@ def check_motion(
     """Check the motion of the objects, as `check_objects`, and of the hand, (T, 51), as in `Scene`.
 
     `first` and `last` are the first and last frame with the hand, or None without a hand.
-
-    Raises:
-        DataFormatError: The handed-over object starts in the air; or the hand is far away, jumps, is never near the
-            object, or a finger angle is out of range.
     """
     check_objects(objects, bodies)
     vertices, *others = (

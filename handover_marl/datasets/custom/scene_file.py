@@ -181,12 +181,7 @@ def check_file_name(argument: str, name: object, reserved: Collection[str] = ())
 
 
 def read_scene_file(folder: Path) -> SceneFile:
-    """Read `scenes.json` of a folder.
-
-    Raises:
-        DataNotFoundError: There is no such file.
-        DataFormatError: The file is damaged.
-    """
+    """Read `scenes.json` of a folder."""
     path = folder / SCENE_FILE
     if not path.exists():
         raise DataNotFoundError(

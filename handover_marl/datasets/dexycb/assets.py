@@ -80,9 +80,6 @@ def write_missing_files(folder: Path, files: Mapping[str, bytes], replace_stand_
     """Write files, given as content by path in the folder, if they do not exist; existing ones must be equal.
 
     With `replace_stand_ins`, existing files that are marked as stand-ins are replaced.
-
-    Raises:
-        ResultsError: A file exists with other content, or cannot be written.
     """
     for parent in {(folder / name).parent for name in files}:
         remove_stale_temporaries(parent)
@@ -107,9 +104,6 @@ def write_hand_assets(assets: Path, subject: str, model: ManoModel, betas: Seque
 
     The files are `mano.urdf` and `meshes/<visual or collision>/mesh1..16.obj`. HandoverSim uses MANO's shape parameters
     `betas` (10,) of the subject's first scene for both sides.
-
-    Raises:
-        ResultsError: A file exists with other content, or cannot be written.
     """
     vertices = model.shape_vertices(betas)
     joints = model.regress_joints(vertices)
@@ -137,11 +131,7 @@ def write_hand_assets(assets: Path, subject: str, model: ManoModel, betas: Seque
 
 
 def write_object_assets(assets: Path) -> None:
-    """Write `<class>/model_normalized.urdf` of the 21 YCB classes to the folder `assets`.
-
-    Raises:
-        ResultsError: A file exists with other content, or cannot be written.
-    """
+    """Write `<class>/model_normalized.urdf` of the 21 YCB classes to the folder `assets`."""
     content = render_urdf(__package__, "object.urdf").encode()
     write_missing_files(assets, {f"{name}/model_normalized.urdf": content for name in CLASS_NAMES.values()})
 
@@ -153,13 +143,7 @@ def find_table_folder() -> Path:
 
 
 def write_table_assets(assets: Path) -> None:
-    """Write the folder `table/` in `assets`: HandoverSim's URDF, made from PyBullet's, and PyBullet's mesh and texture.
-
-    Raises:
-        OptionError: PyBullet is not installed.
-        DataFormatError: PyBullet's table is not the one that HandoverSim uses.
-        ResultsError: A file exists with other content, or cannot be written.
-    """
+    """Write the folder `table/` in `assets`: a URDF made from PyBullet's as in HandoverSim, its mesh and texture."""
     source = find_table_folder()
     text = (source / "table.urdf").read_bytes().decode()
     for old, new, times in _TABLE_REPLACEMENTS:
@@ -184,13 +168,7 @@ _PANDA_MESH_FOLDER = "stand_in"
 
 @contextmanager
 def open_folder(source: Path) -> Iterator[Path]:
-    """Yield `source` if it is a folder, else a temporary folder with the content of a tar archive.
-
-    Raises:
-        DataNotFoundError: The source does not exist.
-        DataFormatError: The file is not a tar archive, is damaged, or contains devices, symbolic links or paths to
-            places outside itself.
-    """
+    """Yield `source` if it is a folder, else a temporary folder with the content of a tar archive."""
     with tempfile.TemporaryDirectory() as folder:
         if not source.is_dir():
             with report_damage(source, "tar archive", _ARCHIVE_ADVICE):
@@ -205,10 +183,6 @@ def install_third_party(source: Path, assets: Path) -> list[str]:
 
     The files may be at any depth, but must be in one tree; an archive is unpacked and checked before a file is written.
     Returns warnings about files whose content has another checksum than the official one.
-
-    Raises:
-        DataNotFoundError, DataFormatError: The source is missing or damaged (`open_folder`), or has none of the files.
-        ResultsError: A file exists with other content, or cannot be written.
     """
     unknown = []
     with open_folder(source) as folder:
@@ -249,11 +223,7 @@ def _match_paths(source: Path, paths: Iterable[Path]) -> dict[Path, str]:
 
 
 def write_stand_ins(models: Path, assets: Path, workers: int, progress: bool) -> list[str]:
-    """Write stand-ins for files missing in `assets` if DexYCB's `models` folder exists; return messages on failures.
-
-    Raises:
-        ResultsError: A file cannot be written.
-    """
+    """Write stand-ins for files missing in `assets` if DexYCB's `models` folder exists; return messages on failures."""
     if not models.is_dir():
         return []
     for name in CLASS_NAMES.values():

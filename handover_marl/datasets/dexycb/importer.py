@@ -98,15 +98,6 @@ def import_dexycb(
         scenes: Scene numbers to import; default: all.
         workers: Number of worker processes; default: one per core.
         progress: Whether to show a progress bar on stderr.
-
-    Raises:
-        DataNotFoundError: A folder or one of MANO's files is missing.
-        UnsafeFileError: One of MANO's files may run code.
-        DataFormatError: One of MANO's files or the archive is damaged, or the archive has unsafe paths.
-        SceneError: A scene number does not exist, or there is none.
-        OptionError: `workers` is less than one, a folder is not a path, or PyBullet, which has the table, is
-            not installed.
-        ResultsError: The data folder cannot be written, or has models made from other data.
     """
     n_workers = resolve_worker_count(workers)
     find_table_folder()

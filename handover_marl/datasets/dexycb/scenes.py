@@ -83,9 +83,6 @@ def find_sequences(raw: Path) -> tuple[list[SequenceFolder], list[str]]:
 
     Returns:
         Recordings in the order of their scene numbers, and messages on what is missing, with path, reason and advice.
-
-    Raises:
-        DataNotFoundError: The folder is missing, or holds no calibration.
     """
     if not (raw / "calibration").is_dir():
         raise DataNotFoundError(
@@ -119,10 +116,6 @@ def read_sequence(sequence: SequenceFolder) -> tuple[dict[str, Any], Float64, tu
         parameters of the person's hand; float32 quaternions xyzw and positions (F, n, 7) in m of the objects, in the
         order of `ycb_ids`; and (F, 51) float32 of the hand: rotation vector (rad), 45 coefficients of the finger pose,
         translation (m), zero in frames without a hand.
-
-    Raises:
-        DataNotFoundError: A file is missing.
-        DataFormatError: A file is damaged, or has hardly any frames with a hand.
     """
     meta = read_meta(sequence)
     objects, hand = _read_poses(sequence.folder / "pose.npz", len(meta["ycb_ids"]))
@@ -132,22 +125,13 @@ def read_sequence(sequence: SequenceFolder) -> tuple[dict[str, Any], Float64, tu
 
 
 def read_betas(sequence: SequenceFolder, meta: dict[str, Any]) -> tuple[float, ...]:
-    """Read MANO's ten shape parameters of the person's hand in a recording; `meta` is from `read_meta`.
-
-    Raises:
-        DataNotFoundError, DataFormatError: The calibration file is missing, or has no ten numbers.
-    """
+    """Read MANO's ten shape parameters of the person's hand in a recording; `meta` is from `read_meta`."""
     path = sequence.calibration / f"mano_{meta['mano_calib'][0]}" / "mano.yml"
     return tuple(_read_numbers(path, N_BETAS, "betas").tolist())
 
 
 def read_meta(sequence: SequenceFolder) -> dict[str, Any]:
-    """Read a recording's meta.yml: `ycb_ids`, `ycb_grasp_ind`, `mano_sides`, `mano_calib` and `extrinsics`.
-
-    Raises:
-        DataNotFoundError: The file is missing.
-        DataFormatError: The file lacks a key, or has an invalid object or hand.
-    """
+    """Read a recording's meta.yml: `ycb_ids`, `ycb_grasp_ind`, `mano_sides`, `mano_calib` and `extrinsics`."""
     path = sequence.folder / "meta.yml"
     with report_damage(path, *_KIND_AND_ADVICE):
         content: Any = read_yaml(path, _MAX_YAML_BYTES)
@@ -274,11 +258,6 @@ def import_scene(
     position (m) and intrinsic XYZ Euler angles (rad) of the objects, and `pose_m` (T, 1, 51), joint positions of the
     hand: 3 positions (m), 48 angles (rad). `models` are MANO's hand models by side, `first_betas` is from
     `find_first_betas`.
-
-    Raises:
-        DataNotFoundError, DataFormatError: A file of the recording is missing or damaged, or an existing file of the
-            scene differs.
-        ResultsError: A file cannot be written.
     """
     meta, world_from_tag, betas, objects, hand = read_sequence(sequence)
     (side,) = meta["mano_sides"]

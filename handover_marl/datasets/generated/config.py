@@ -109,12 +109,7 @@ FAMILY_DEFAULTS: Final[Mapping[str, GeneratedConfig]] = MappingProxyType(
 
 
 def parse_generated_config(argument: str) -> GeneratedConfig:
-    """Return the configuration that a text such as "n=100000,seed=7,family=hard" describes; other values are defaults.
-
-    Raises:
-        OptionError: The text has another form, or a value is out of range.
-        UnknownNameError: A parameter or the family does not exist.
-    """
+    """Parse a configuration such as "n=100000,seed=7,family=hard"; omitted values are defaults."""
     values: dict[str, Any] = {}
     defaults = vars(GeneratedConfig())
     for entry in argument.split(","):

@@ -71,10 +71,6 @@ class GeneratedDataset(HandoverGenerator):
     Args:
         config: Configuration, or its text such as "n=100000,seed=7,family=hard".
         robot: Variant of the Panda, as in `Dataset`.
-
-    Raises:
-        OptionError: The configuration's text is wrong, or a value is out of range.
-        UnknownNameError: A parameter, the family or the robot does not exist.
     """
 
     scene_format = "08d"
@@ -102,12 +98,7 @@ class GeneratedDataset(HandoverGenerator):
         return _draw_side(self.config, scene_id)
 
     def generate(self, scene_id: int) -> GeneratedHandover:
-        """Generate the scene with an existing number.
-
-        Raises:
-            HandoverError: No grasp was found for many objects in a row.
-            DataNotFoundError: The user's cache folder, for the model of the hand, cannot be written.
-        """
+        """Generate the scene with an existing number."""
         return _generate_scene(self.config, scene_id)
 
     def find_object_urdf(self, object_name: str) -> Path:
@@ -242,11 +233,7 @@ def _write_object_model(name: str, item: ProceduralObject) -> Path:
 
 
 def write_hand_model(person: Person, side: Side) -> Path:
-    """Write the model of a person's hand unless it exists, and return the path of its URDF.
-
-    Raises:
-        DataNotFoundError: The user's cache folder cannot be written.
-    """
+    """Write the model of a person's hand unless it exists, and return the path of its URDF."""
     meshes, name = str(HANDS_FOLDER / "meshes" / side), f"{person.name}_{side}"
 
     def make_files() -> dict[str, bytes | str]:

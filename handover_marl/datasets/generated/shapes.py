@@ -126,11 +126,7 @@ def _make_polygons(m: int, n: int) -> tuple[Faces, Faces, Faces]:
 
 
 def read_solid(urdf: Path) -> "Solid":
-    """Read the convex parts of an object from the collision mesh beside its URDF, which has HandoverSim's file name.
-
-    Raises:
-        DataFormatError: The file of the parts cannot be read.
-    """
+    """Read the convex parts of an object from the collision mesh beside its URDF, which has HandoverSim's file name."""
     mesh = read_obj(urdf.with_name(COLLISION_NAME))
     return Solid(_make_hull(mesh.vertices[np.unique(faces)]) for faces in mesh.groups)
 

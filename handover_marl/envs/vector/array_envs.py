@@ -254,11 +254,7 @@ class ArrayEnvs:
         self._rngs_before: list[tuple[np.random.Generator, np.random.Generator] | None] = [None] * count
 
     def reset(self, rows: Indices, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
-        """Start episodes, and simulate them until an action scheme needs outputs; see `batch.Envs.reset`.
-
-        Raises:
-            OptionError: Many episodes in a row have ended before outputs were needed.
-        """
+        """Start episodes, and simulate them until an action scheme needs outputs; see `batch.Envs.reset`."""
         for row, seed in zip(rows.tolist(), seeds, strict=True):
             before = self._rngs_before[row]
             if (seed is not None or options) and self._next[row] != _NONE and before is not None:

@@ -180,12 +180,7 @@ class ProcessEnvs:
         self._pipe.close()
 
     def _call(self, name: str, *arguments: Any) -> Any:
-        """Return what a method of the environments in the process returns for these arguments.
-
-        Raises:
-            WorkerError: The process has died.
-            HandoverError: The errors of the method.
-        """
+        """Return what a method of the environments in the process returns for these arguments."""
         try:
             if not self._is_ready:
                 self._receive()

@@ -68,9 +68,6 @@ def make_policy_batch(
     """Make a policy for `count` environments: one on arrays if there is such a version, else one per environment.
 
     Policies that work with NumPy arrays only get copies on the host if `arrays` creates tensors.
-
-    Raises:
-        PolicyError: The constructor of the policy fails.
     """
     agent, space = reference.agent, giver_action_space(config.giver)
 

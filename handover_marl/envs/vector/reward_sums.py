@@ -45,11 +45,7 @@ class RewardSums:
         return {agent: sums[:, _SINCE_CLEAR, 0] for agent, sums in self._sums.items()}
 
     def start(self, row: int) -> None:
-        """Start the episode with index `row`, whose first state has been observed.
-
-        Raises:
-            RewardError: A user-defined reward fails.
-        """
+        """Start the episode with index `row`, whose first state has been observed."""
         rows = self._arrays.asarray(np.array([row]))
 
         def start_transitions() -> list[Transition]:
@@ -86,9 +82,6 @@ class RewardSums:
         """Add the rewards of a control step of the episodes `rows` (r,), whose states after it have been observed.
 
         Actions (r, ...) by agent are float32; `terminated` and `truncated` (r,) say whether each episode has ended.
-
-        Raises:
-            RewardError: A user-defined reward fails.
         """
         if not len(rows):
             return

@@ -270,11 +270,7 @@ def _can_use_arrays(template: WrappableEnv, backend: str) -> bool:
 
 
 def _check_device(template: WrappableEnv, uses_arrays: bool) -> None:
-    """Check that environments can be simulated on a device, with the backend "warp".
-
-    Raises:
-        OptionError: Physics, wrappers, or data, noise or users of a camera need the backend "threads".
-    """
+    """Check that environments can be simulated on a device, with the backend "warp"."""
     config = template.unwrapped.config
     faults = [
         (env.policy.obs_mode != STATE, f"a partner without a camera, got {env.policy.name!r}")
@@ -312,11 +308,7 @@ def _check_device(template: WrappableEnv, uses_arrays: bool) -> None:
 
 
 def _apply_wrapper(wrapper: WrapperFunction, env: WrappableEnv) -> WrappableEnv:
-    """Return an environment wrapped by a user's function or class `wrapper`.
-
-    Raises:
-        OptionError: The wrapper cannot be called, fails, or does not wrap the environment that it gets.
-    """
+    """Return an environment wrapped by a user's function or class `wrapper`."""
     if not callable(wrapper):
         raise OptionError(f"wrappers must be functions or classes that wrap an environment, got {wrapper!r}")
     try:

@@ -69,12 +69,6 @@ class FixedPartnerEnv(ParallelWrapper):
 
         Args:
             actions: Mapping from the name of the agent that is controlled from outside to its action.
-
-        Raises:
-            ActionError: This agent's action is missing or malformed, or an action of the partner's
-                agent is given too.
-            ResetNeededError: No episode is running.
-            PolicyError: The partner's policy fails.
         """
         live, partner = self.live_agent, self.partner_agent
         if not isinstance(actions, dict) or actions.keys() - {live}:

@@ -114,9 +114,6 @@ class EncodedEnv(ParallelWrapper):
         """Start an episode and simulate it until an action scheme needs outputs; return features and infos by agent.
 
         Arguments are as in `HandoverEnv.reset`.
-
-        Raises:
-            OptionError: Many episodes in a row have ended before outputs were needed.
         """
         for attempt in range(MAX_EPISODES_WITHOUT_OUTPUTS):
             self._observations, infos = self.env.reset(seed=seed if attempt == 0 else None, options=options)
@@ -138,12 +135,6 @@ class EncodedEnv(ParallelWrapper):
 
         Returns:
             Feature vectors, rewards, terminations, truncations and infos by agent.
-
-        Raises:
-            ActionError: Outputs are missing or malformed.
-            EncodingError: User-defined features or a user-defined action scheme fail, or return a wrong size, type or
-                number.
-            ResetNeededError: No episode is running.
         """
         if not self.agents:
             raise ResetNeededError("no episode is running; call reset() before step()")

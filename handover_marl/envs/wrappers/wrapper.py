@@ -31,9 +31,6 @@ class ParallelWrapper(BaseParallelWrapper, EzPickle):  # type: ignore[misc]
     Args:
         env: A `HandoverEnv`, or any `pettingzoo.utils.BaseParallelWrapper` of one.
         agents: Agents of the wrapped environment; default: all agents of `env`.
-
-    Raises:
-        OptionError: `env` is another kind of environment.
     """
 
     metadata: dict[str, Any] = dict(HandoverEnv.metadata)
@@ -59,11 +56,7 @@ class ParallelWrapper(BaseParallelWrapper, EzPickle):  # type: ignore[misc]
 
 
 def check_env(env: object) -> None:
-    """Check that a value is a `HandoverEnv` or a PettingZoo wrapper of one.
-
-    Raises:
-        OptionError: It is another kind of environment, or a class.
-    """
+    """Check that a value is a `HandoverEnv` or a PettingZoo wrapper of one."""
     base = env.unwrapped if isinstance(env, BaseParallelWrapper) else env
     if not isinstance(base, HandoverEnv):
         raise OptionError(
@@ -126,9 +119,6 @@ class SingleAgentEnv(gymnasium.Env[Any, Any], EzPickle):
 
     Attributes:
         scene_ids: Numbers of the scenes that `reset` draws from.
-
-    Raises:
-        OptionError: `env` has several agents.
     """
 
     metadata: dict[str, Any] = dict(HandoverEnv.metadata)
@@ -175,11 +165,6 @@ Api = Literal["parallel", "gymnasium"]
 
 
 def convert_api(env: ParallelWrapper, api: Api) -> ParallelWrapper | SingleAgentEnv:
-    """Return a parallel environment itself, or for the API "gymnasium" a Gymnasium environment of its only agent.
-
-    Raises:
-        UnknownNameError: There is no such API.
-        OptionError: A Gymnasium environment is requested and `env` has several agents.
-    """
+    """Return a parallel environment itself, or for the API "gymnasium" a Gymnasium environment of its only agent."""
     check_name("api", api, ("parallel", "gymnasium"))
     return env if api == "parallel" else SingleAgentEnv(env)

@@ -131,11 +131,7 @@ def encode_demonstration(demonstration: Demonstration) -> bytes:
 
 
 def read_episode_metadata(path: Path) -> dict[str, Any]:
-    """Read the metadata of an episode from its `.npz` file.
-
-    Raises:
-        Exception: The file is damaged; NumPy and zipfile raise exceptions of many types.
-    """
+    """Read the metadata of an episode from its `.npz` file."""
     values = json.loads(read_arrays(path, (_METADATA,), _MAX_BYTES)[_METADATA].item())
     return {name: values[name] for name in _METADATA_KEYS}
 

@@ -174,9 +174,6 @@ class DemonstrationWriter(EpisodeWriter):
     """Writer of demonstrations in a result folder: one file for each episode, and one that describes the data set.
 
     The arguments `obs_mode`, `keep` and `fps` are those of `demonstrate`.
-
-    Raises:
-        ResultsError: The folder for the episodes cannot be created.
     """
 
     def __init__(self, folder: Path, config: EvaluationConfig, obs_mode: str, keep: str, fps: int | None) -> None:

@@ -298,11 +298,7 @@ def format_report_files(folder: Path, report: Report) -> dict[str, str]:
 
 
 def write_report(folder: Path, report: Report) -> None:
-    """Write `report.json`, `report.md`, `report.html` and `episodes.csv` into a result folder.
-
-    Raises:
-        ResultsError: The folder cannot be written.
-    """
+    """Write `report.json`, `report.md`, `report.html` and `episodes.csv` into a result folder."""
     for name, content in format_report_files(folder, report).items():
         write_atomically(folder / name, content)
 

@@ -145,12 +145,7 @@ class Leaderboard(TabularResult):
         )
 
     def write_heat_map(self, path: Path) -> None:
-        """Write a heat map of the success rates by partner and method as PNG; requires the extra `plot`.
-
-        Raises:
-            OptionError: matplotlib is missing.
-            ResultsError: The file cannot be written.
-        """
+        """Write a heat map of the success rates by partner and method as PNG; requires the extra `plot`."""
         require_modules("the heat map", "plot", "matplotlib")
         from handover_marl.visualization.pictures import draw_heat_map
 

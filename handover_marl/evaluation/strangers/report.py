@@ -223,9 +223,6 @@ def read_entry(folder: Path) -> dict[str, Any]:
     """Return the content of a folder's `strangers.json`: texts `population`, `partner_split`, `agent`, and `folders`.
 
     `folders[policy][partner]` is the name of the result folder of a pair.
-
-    Raises:
-        ResultsError: The file is missing or malformed.
     """
     path = folder / ENTRY_FILE
     try:
@@ -245,12 +242,7 @@ def read_entry(folder: Path) -> dict[str, Any]:
 
 
 def read_report(folder: Path, population: Population) -> StrangersReport:
-    """Compute the report of an output folder of `strangers` from the stored results of its episodes.
-
-    Raises:
-        OptionError: The folder is of another population.
-        ResultsError: A result folder is missing or malformed, or does not match the others.
-    """
+    """Compute the report of an output folder of `strangers` from the stored results of its episodes."""
     entry = read_entry(folder)
     agent, split = entry["agent"], entry["partner_split"]
     if entry["population"] != population.label:

@@ -66,11 +66,7 @@ def find_farthest_points(points: Array, count: int, first: int = 0) -> list[int]
 
 
 def compute_convex_hull(points: Array) -> tuple[Array, Faces]:
-    """Compute the convex hull of points (n, 3): its vertices (v, 3), and vertex numbers (f, 3) of outward triangles.
-
-    Raises:
-        scipy.spatial.QhullError: All points are in one plane.
-    """
+    """Compute the convex hull of points (n, 3): its vertices (v, 3), and vertex numbers (f, 3) of outward triangles."""
     hull = ConvexHull(points)
     numbers = np.sort(hull.vertices)
     faces = np.searchsorted(numbers, hull.simplices)
@@ -107,10 +103,6 @@ def check_collision_meshes(urdf: Path) -> None:
     """Check that a URDF model's collision meshes are neither empty nor flat, with finite vertices.
 
     An unchanged model is checked once. Only the content of OBJ files is checked.
-
-    Raises:
-        DataFormatError: A mesh is not usable, or the model has no collision shape.
-        SimulationError: The URDF file is damaged.
     """
     with report_damage(urdf, "model", "check the file"):
         mtimes = read_model_mtimes(urdf)
@@ -127,11 +119,7 @@ def _check_collision_meshes(urdf: Path, mtimes: tuple[int, ...]) -> None:
 
 
 def check_model(urdf: Path, n_joints: int) -> None:
-    """Check all that simulations read of a URDF model: links, shapes, meshes, and that it has `n_joints` moving joints.
-
-    Raises:
-        DataFormatError, SimulationError: A file cannot be read or is damaged.
-    """
+    """Check what simulations read of a URDF model: links, shapes, meshes, and that it has `n_joints` moving joints."""
     check_collision_meshes(urdf)
     tree = read_tree(urdf)
     read_urdf_links(urdf, tree)
@@ -148,11 +136,7 @@ def list_mesh_files(urdf: Path, purpose: str) -> list[Path]:
 
 
 def read_link_vertices(urdf: Path, purpose: str, names: list[str]) -> list[Array]:
-    """Read the vertices (m, 3) of the "collision" or "visual" shapes of each named link, in the frame of that link (m).
-
-    Raises:
-        DataFormatError: A link has no shape, or a file cannot be read.
-    """
+    """Read vertices (m, 3) of the "collision" or "visual" shapes of each named link, in the frame of that link (m)."""
     tree = read_tree(urdf)
     numbers = [joint.link for joint in tree.joints]
     shapes = read_urdf_shapes(urdf, tree, purpose)
@@ -169,9 +153,6 @@ def read_collision_mesh(urdf: Path) -> tuple[Array, Faces]:
     """Read a URDF model's collision shapes as one mesh: vertices (v, 3) in m, faces (f, 3).
 
     Vertices are in the frame of the shapes' link, so the model should have shapes on one link only.
-
-    Raises:
-        DataFormatError: The model has no collision shape, or a file cannot be read.
     """
     shapes = read_urdf_shapes(urdf, read_tree(urdf), "collision")
     if not shapes:
@@ -180,12 +161,7 @@ def read_collision_mesh(urdf: Path) -> tuple[Array, Faces]:
 
 
 def read_visual_meshes(urdf: Path, tree: KinematicTree, without: Collection[str] = ()) -> list[VisualMesh]:
-    """Read the visual meshes of a URDF model, one for every link with visual shapes but the links named in `without`.
-
-    Raises:
-        SimulationError: A shape cannot be read from the model.
-        DataFormatError: A mesh is missing or cannot be read.
-    """
+    """Read the visual meshes of a URDF model, one for each link with visual shapes, except links named in `without`."""
     meshes = []
     for link, shapes in group_visual_shapes(urdf, tree, without).items():
         vertices, faces = concatenate_meshes([read_shape_mesh(shape, urdf) for shape in shapes])
@@ -194,11 +170,7 @@ def read_visual_meshes(urdf: Path, tree: KinematicTree, without: Collection[str]
 
 
 def group_visual_shapes(urdf: Path, tree: KinematicTree, without: Collection[str] = ()) -> dict[int, list[UrdfShape]]:
-    """Return the visual shapes of a URDF model by link number, except for the links named in `without`.
-
-    Raises:
-        SimulationError: A shape cannot be read from the model.
-    """
+    """Return the visual shapes of a URDF model by link number, except for the links named in `without`."""
     excluded = {number for number, joint in enumerate(tree.joints) if joint.link in without}
     shapes: dict[int, list[UrdfShape]] = {}
     for shape in read_urdf_shapes(urdf, tree, "visual"):
@@ -217,11 +189,7 @@ def concatenate_meshes(parts: Sequence[tuple[Array, Faces]]) -> tuple[Array, Fac
 
 
 def read_shape_mesh(shape: UrdfShape, urdf: Path) -> tuple[Array, Faces]:
-    """Read a shape of a URDF file as a mesh: vertices (v, 3) in the link's frame (m) and faces (f, 3).
-
-    Raises:
-        DataFormatError: The mesh file cannot be read.
-    """
+    """Read a shape of a URDF file as a mesh: vertices (v, 3) in the link's frame (m) and faces (f, 3)."""
     if shape.mesh is not None and shape.mesh.suffix.lower() == ".obj":
         mesh = read_obj(shape.mesh)
         vertices, faces = mesh.vertices, mesh.faces

@@ -47,11 +47,6 @@ def read_obj(path: Path) -> ObjMesh:
 
     Vertex numbers may count back from the last vertex before the face. Normals, texture coordinates, colors and
     curves are ignored.
-
-    Raises:
-        DataNotFoundError: The file does not exist.
-        DataFormatError: The file cannot be read, has no triangle, a vertex that is not three finite numbers, a face
-            with fewer than three corners, or a face with a vertex number out of range.
     """
     with report_damage(path, "OBJ file of triangles", "check the file"):
         return _parse_obj(path, split_obj_lines(read_plain_file(path)))
@@ -127,10 +122,6 @@ def check_mesh(path: Path, solid: bool = False) -> None:
 
     PyBullet crashes on vertex numbers out of range, loads empty meshes without an error, and reads some forms of the
     format wrong.
-
-    Raises:
-        DataFormatError: An OBJ file cannot be read (`read_obj`), has a form that PyBullet reads wrong, or is flat and
-            must be `solid`.
     """
     if path.suffix.lower() != ".obj":
         return

@@ -68,12 +68,7 @@ class Surface:
 
 
 def read_surfaces(urdf: Path, tree: KinematicTree, without: Collection[str] = ()) -> list[Surface]:
-    """Read the colours of the meshes that `read_visual_meshes` returns for the same arguments.
-
-    Raises:
-        SimulationError: A shape cannot be read from the model.
-        DataFormatError: A mesh, material or texture cannot be read.
-    """
+    """Read the colours of the meshes that `read_visual_meshes` returns for the same arguments."""
     return [_read_surface(urdf, shapes) for shapes in group_visual_shapes(urdf, tree, without).values()]
 
 

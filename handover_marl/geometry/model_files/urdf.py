@@ -66,11 +66,7 @@ class UrdfShape:
 
 
 def read_urdf_links(urdf: Path, tree: KinematicTree) -> list[UrdfLink]:
-    """Read the properties of all links of a URDF model by link number; the base link is last.
-
-    Raises:
-        SimulationError: A number cannot be read.
-    """
+    """Read the properties of all links of a URDF model by link number; the base link is last."""
     numbers = {joint.link: number for number, joint in enumerate(tree.joints)}
     links = [UrdfLink()] * (len(numbers) + 1)
     try:
@@ -104,11 +100,7 @@ def _read_limits(joint: ET.Element) -> tuple[float, float] | None:
 
 
 def list_mesh_references(urdf: Path) -> list[tuple[str, Path]]:
-    """List every mesh file of a URDF file, even of an invalid one: the name in the file, and the path that it means.
-
-    Raises:
-        OSError, ValueError: The URDF file cannot be read, is not a plain file, or is too large.
-    """
+    """List every mesh file of a URDF file, even of an invalid one: the name in the file, and the path that it means."""
     meshes: list[tuple[str, Path]] = []
     for match in _MESH_NAME.findall(read_plain_file(urdf, MAX_URDF_BYTES)):
         name = match.decode(errors="replace")
@@ -117,11 +109,7 @@ def list_mesh_references(urdf: Path) -> list[tuple[str, Path]]:
 
 
 def read_model_mtimes(urdf: Path) -> tuple[int, ...]:
-    """Return the modification times (ns) of a URDF file and its mesh files; 0 for missing meshes.
-
-    Raises:
-        OSError, ValueError: The URDF file cannot be read, is not a plain file, or is too large.
-    """
+    """Return the modification times (ns) of a URDF file and its mesh files; 0 for missing meshes."""
     own = urdf.stat().st_mtime_ns
     return (own, *map(_read_mtime, _list_meshes(urdf, own)))
 
@@ -140,11 +128,7 @@ def _read_mtime(path: str) -> int:
 
 
 def read_urdf_shapes(urdf: Path, tree: KinematicTree, purpose: str) -> list[UrdfShape]:
-    """Read all "collision" or all "visual" shapes of a URDF model; an unchanged file is read once.
-
-    Raises:
-        SimulationError: The file cannot be read, a shape is neither mesh, box nor sphere, or an attribute is missing.
-    """
+    """Read all "collision" or all "visual" shapes of a URDF model; an unchanged file is read once."""
     return list(_read_shapes(urdf, urdf.stat().st_mtime_ns if urdf.exists() else 0, tree, purpose))
 
 

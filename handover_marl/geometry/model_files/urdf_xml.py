@@ -28,10 +28,6 @@ def parse_urdf(urdf: Path) -> ET.Element:
     """Parse a URDF file, check its numbers, and return its root element.
 
     Engines load numbers that are not finite or make no sense, such as a negative mass, without an error.
-
-    Raises:
-        OSError: The file cannot be read.
-        ValueError: The file is not a plain file, is too large, or is not XML; or a number is out of `URDF_RANGES`.
     """
     content = read_plain_file(urdf, MAX_URDF_BYTES)
     try:
@@ -55,11 +51,7 @@ def _check_numbers(name: str, text: str, low: float, high: float) -> None:
 
 
 def read_attribute(element: ET.Element, tag: str, name: str, default: str | None = None) -> str:
-    """Read the attribute `name` of the child with a tag of an XML element; return `default` if it is missing.
-
-    Raises:
-        ValueError: The child or its attribute is missing, and there is no default.
-    """
+    """Read the attribute `name` of the child with a tag of an XML element; return `default` if it is missing."""
     found = element.find(tag)
     value = default if found is None else found.get(name, default)
     if value is None:

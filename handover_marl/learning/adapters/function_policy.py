@@ -43,9 +43,6 @@ class FunctionPolicy(Policy):
     Attributes:
         function: Function from inputs to outputs.
         scheme: Action scheme that decodes the outputs.
-
-    Raises:
-        OptionError: The function does not fit features or action scheme, or the action scheme has no wait.
     """
 
     def __init__(
@@ -147,11 +144,7 @@ class FunctionPolicy(Policy):
         return steps_from_hold_time(self.hold_time)
 
     def decide(self, rows: AnyIndices, observation: Observation) -> AnyArray:
-        """Return actions (r, 8) or (r, 9) of the episodes with indices `rows`; evaluate the function where needed.
-
-        Raises:
-            ActionError: The outputs of the function are not `n_outputs` finite numbers.
-        """
+        """Return actions (r, 8) or (r, 9) of the episodes with indices `rows`; evaluate the function where needed."""
         needs = self._arrays.xp.nonzero(self.scheme.needs_outputs(rows, observation))[0]
         if len(needs):
             some = {key: values[needs] for key, values in observation.items()}
@@ -263,13 +256,6 @@ class LearnedPolicy(FunctionPolicy):
         control_period: Time between two decisions in training (s), for files that do not record it.
         wait: Time for which the robot stays at its waiting pose at the start of an episode (s);
             default: as in training. Only action schemes that wait have this option.
-
-    Raises:
-        DataNotFoundError: The file does not exist.
-        DataFormatError: The file is damaged or for another agent.
-        UnsafeFileError: The file contains code, or names user-defined features or schemes (`module:name`),
-            and is not trusted.
-        OptionError: The path is missing, an option does not fit the file, or the file is one of giver `adaptive`.
     """
 
     name = "learned"

@@ -28,9 +28,6 @@ def dense_network_from_layers(
         activation: Activation between the layers, a key of `ACTIVATIONS`.
         output: Activation after the last layer, a key of `ACTIVATIONS`.
         n_outputs: Number of leading outputs to keep, such as the means before standard deviations; None keeps all.
-
-    Raises:
-        DataFormatError: The shapes of consecutive layers do not match.
     """
     linear = sys.modules["torch"].nn.Linear  # a module can exist only if PyTorch was imported
     layers = [part for part in module.modules() if isinstance(part, linear)]
@@ -55,10 +52,6 @@ def dense_network_from_module(module: Any) -> DenseNetwork:
 
     Args:
         module: Module from (n, n_inputs) to (n, n_outputs).
-
-    Raises:
-        DataFormatError: The shapes of consecutive layers do not match, or no network of these layers has the same
-            outputs.
     """
     bare = dense_network_from_layers(module, "identity")
     inputs = draw_inputs(bare.n_inputs)

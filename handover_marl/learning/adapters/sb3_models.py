@@ -33,9 +33,6 @@ def load_sb3_model(content: bytes) -> BaseAlgorithm:
 
     Args:
         content: Content of a file that the model's method `save` wrote.
-
-    Raises:
-        Exception: The content is damaged or of another algorithm.
     """
     data, _, _ = load_from_zip_file(io.BytesIO(content), device="cpu")
     for policy_class, algorithm in _LOADERS.items():
@@ -54,10 +51,6 @@ def dense_network_from_sb3(
     Args:
         model: Model of PPO, A2C, SAC, TD3 or DDPG with dense layers only.
         normalization: Normalization of the observations; default: as in the model's environment.
-
-    Raises:
-        DataFormatError: The policy contains other layers, or computes something else than these layers.
-        OptionError: The model's action space is not a one-dimensional Box.
     """
     where, space = type(model).__name__, model.action_space
     if not isinstance(space, spaces.Box) or len(space.shape) != 1:

@@ -177,9 +177,6 @@ class ImitationRun:
         folder: Folder of the run.
         latest: Path of the weights of the last evaluation, with which the network acts in the next round.
         writer: Writer of the TensorBoard logs.
-
-    Raises:
-        ResultsError: The folder contains another run, or one that must not be resumed.
     """
 
     def __init__(

@@ -40,10 +40,6 @@ def generate_samples(
         make_generator: Factory of a function from a key to its samples; called once in every process.
         description: Label of the progress bar.
         workers: Number of worker processes; default: one per core.
-
-    Raises:
-        ResultsError: A file is damaged or cannot be written.
-        HandoverError: The samples cannot be generated.
     """
     folder.mkdir(parents=True, exist_ok=True)
 
@@ -64,11 +60,7 @@ def get_samples_path(folder: Path, key: int) -> Path:
 
 
 def read_samples(kind: type[Samples], path: Path) -> Samples:
-    """Read the samples in a file (.npz) as a named tuple of the class `kind`.
-
-    Raises:
-        ResultsError: The file is damaged.
-    """
+    """Read the samples in a file (.npz) as a named tuple of the class `kind`."""
     names: tuple[str, ...] = kind._fields  # type: ignore[attr-defined]
     try:
         return kind(*read_arrays(path, names, _MAX_BYTES).values())
@@ -77,11 +69,7 @@ def read_samples(kind: type[Samples], path: Path) -> Samples:
 
 
 def join_samples(parts: Sequence[Samples]) -> Samples:
-    """Concatenate several samples, named tuples of arrays (n, ...), in their order.
-
-    Raises:
-        DataNotFoundError: There are no parts.
-    """
+    """Concatenate several samples, named tuples of arrays (n, ...), in their order."""
     if not parts:
         raise DataNotFoundError("a training needs samples, got none; pass at least two scenes")
     return type(parts[0])(*map(np.concatenate, zip(*parts, strict=True)))

@@ -166,11 +166,6 @@ def read_gaddpg_checkpoint(path: str | Path) -> tuple[GaddpgNetwork, str]:
 
     Returns:
         The network in evaluation mode on the CPU, and a hash of both files (8 hexadecimal digits).
-
-    Raises:
-        DataNotFoundError: The checkpoint or one of its files does not exist.
-        DataFormatError: A file is damaged, or contains weights of another network.
-        UnsafeFileError: A file contains Python objects other than tensors and plain numbers.
     """
     actor, features = _find_files(Path(path).expanduser())
     (head, head_content), (encoder, encoder_content) = map(_read_weights, (actor, features))

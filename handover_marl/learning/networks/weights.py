@@ -83,9 +83,6 @@ def write_network_weights(path: Path, network: SavedNetwork, provenance: Mapping
         path: File to write (.npz).
         network: Network to write.
         provenance: Description of the training in JSON types, for a model card.
-
-    Raises:
-        ResultsError: The file cannot be written.
     """
     arrays: dict[str, npt.NDArray[Any]] = {}
     for name, value in network.state_dict().items():
@@ -104,10 +101,6 @@ def read_network_weights(path: str | Path, network_class: type[_Network]) -> tup
 
     Returns:
         The network in evaluation mode on the CPU, and a hash of the file (8 hexadecimal digits).
-
-    Raises:
-        DataNotFoundError: The file does not exist or cannot be read.
-        DataFormatError: The file is damaged or contains another network.
     """
     file = Path(path).expanduser()
     try:
@@ -134,23 +127,14 @@ def read_network_weights(path: str | Path, network_class: type[_Network]) -> tup
 
 
 def load_tensors(content: bytes) -> Any:
-    """Load tensors, and lists or dicts of them, from the content of a file of `torch.save`; run no code from it.
-
-    Raises:
-        pickle.UnpicklingError: The file contains other objects.
-        Exception: The file is damaged or too large; PyTorch raises exceptions of many kinds.
-    """
+    """Load tensors, and lists or dicts of them, from the content of a file of `torch.save`; run no code from it."""
     if content.startswith(_ZIP_HEADER):  # files of PyTorch before 1.6 are no archives
         check_archive(content, MAX_FILE_BYTES)
     return torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
 
 
 def check_finite_weights(file: Path, module: nn.Module) -> None:
-    """Check that all parameters and buffers of a module, which was read from a file, are finite.
-
-    Raises:
-        DataFormatError: A number is infinite or not a number.
-    """
+    """Check that all parameters and buffers of a module, which was read from a file, are finite."""
     if not all(bool(torch.isfinite(value).all()) for value in module.state_dict().values()):
         raise DataFormatError(f"{file}: weights must be finite numbers; the file is damaged")
 

@@ -53,9 +53,6 @@ def open_run_folder(path: Path, arguments: object, resume: bool, dataset: str, f
         resume: Whether to continue an existing run.
         dataset: Name of the dataset, to which "auto" was resolved.
         free: Names of further arguments that may change when a run is resumed.
-
-    Raises:
-        ResultsError: The folder has another run, one that must not be resumed, none to resume, or cannot be created.
     """
     recorded = {key: value for key, value in vars(arguments).items() if key not in (*_FREE, *free)}
     text = json.dumps(recorded | {"dataset": dataset}, indent=1, default=repr)
@@ -102,9 +99,6 @@ def read_checkpoint(path: Path, restore: Callable[[dict[str, Any]], None]) -> No
     Args:
         path: File written by `write_checkpoint`.
         restore: Function that continues from the state, a dict of tensors and numbers.
-
-    Raises:
-        ResultsError: The file is damaged, or `restore` cannot use the state.
     """
     try:
         check_archive(path, _MAX_CHECKPOINT_BYTES)

@@ -58,12 +58,7 @@ class SetupArgs:
         return open_dataset(self.dataset, self.data_dir, robot)
 
     def resolve_setup(self) -> "Self":
-        """Return a copy of the arguments in which `setup` is a name; None becomes the first setup of the dataset.
-
-        Raises:
-            DataNotFoundError: The dataset's folder does not exist.
-            UnknownNameError: The dataset has no such setup.
-        """
+        """Return a copy of the arguments in which `setup` is a name; None becomes the first setup of the dataset."""
         return replace(self, setup=self.open_dataset().resolve_setup(self.setup))
 
     @property

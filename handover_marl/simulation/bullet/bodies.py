@@ -70,9 +70,6 @@ class ArticulatedBody:
         id: PyBullet body number.
         n_links: Number of links without the base link.
         joints: PyBullet joint numbers of the moving joints.
-
-    Raises:
-        SimulationError: The model cannot be loaded, or does not have one moving joint for each motor.
     """
 
     def __init__(
@@ -106,11 +103,7 @@ class ArticulatedBody:
         self.set_collision_mask(mask)
 
     def get_link(self, name: str) -> int:
-        """Return the number of a link by its URDF name; numbers differ between Panda files.
-
-        Raises:
-            SimulationError: The model has no such link.
-        """
+        """Return the number of a link by its URDF name; numbers differ between Panda files."""
         if name not in self._link_names:
             links = ", ".join(self._link_names)
             raise SimulationError(f"{self._describe_model()} has no link {name!r} (its links: {links}); check its URDF")
@@ -252,9 +245,6 @@ def compute_object_masks(class_ids: Sequence[int]) -> list[int]:
 
     Args:
         class_ids: Class numbers of the objects.
-
-    Raises:
-        SimulationError: There are more objects than bits.
     """
     bits: list[int | None] = []
     for class_id in class_ids:
@@ -278,9 +268,6 @@ class PandaBody(ArticulatedBody):
     Attributes:
         hand_link: Link number of the gripper base (`panda_hand`), whose pose is the gripper pose.
         finger_links: Link numbers of the left and the right finger.
-
-    Raises:
-        SimulationError: The model cannot be loaded, does not have nine moving joints, or has no hand or finger link.
     """
 
     def __init__(self, client: BulletClient, urdf: Path, config: PandaConfig) -> None:

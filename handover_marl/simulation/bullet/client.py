@@ -119,9 +119,6 @@ def connect(window: bool = False) -> BulletClient:
 
     Args:
         window: Whether to show the simulation in PyBullet's window, without its side panels.
-
-    Raises:
-        SimulationError: A window was requested without a screen, or another window is open.
     """
     if not window:
         return BulletClient(pybullet.DIRECT)
@@ -136,11 +133,7 @@ def connect(window: bool = False) -> BulletClient:
 
 
 def _require_screen() -> None:
-    """Check that there is an X server; without one PyBullet ends the whole process.
-
-    Raises:
-        SimulationError: There is no X server.
-    """
+    """Check that there is an X server; without one PyBullet ends the whole process."""
     fault = f"no X server answers at DISPLAY={os.environ.get('DISPLAY')}"
     try:
         # The same file that PyBullet opens.
@@ -164,9 +157,6 @@ def load_urdf(client: BulletClient, path: Path | str, **options: object) -> int:
         client: Physics client.
         path: URDF file.
         options: Keyword arguments of PyBullet's `loadURDF`.
-
-    Raises:
-        SimulationError: PyBullet cannot load the model.
     """
     urdf = Path(path)
     # A missing file may still be in PyBullet's own data folder.
@@ -189,10 +179,6 @@ def check_model_files(urdf: Path, modified_ns: int) -> None:
     Args:
         urdf: URDF file of the model.
         modified_ns: Time of the file's last change (ns); an unchanged model is checked once.
-
-    Raises:
-        OSError: The URDF file cannot be read.
-        SimulationError: The URDF file or a mesh file is not a plain file, is too large, or is damaged.
     """
     try:
         parse_urdf(urdf)

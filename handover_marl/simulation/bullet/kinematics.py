@@ -41,9 +41,6 @@ class BulletIKStep:
     Args:
         urdf: Model of the Panda.
         config: Base pose of the Panda.
-
-    Raises:
-        SimulationError: The model cannot be loaded.
     """
 
     def __init__(self, urdf: Path, config: PandaConfig) -> None:

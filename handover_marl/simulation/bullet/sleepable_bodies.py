@@ -34,11 +34,7 @@ _REST_TOLERANCE = 1e-7
 
 
 def read_bounding_spheres(urdf: Path) -> dict[int, BoundingSphere]:
-    """Return the bounding spheres of all links with collision shapes, by link number; -1 is the base.
-
-    Raises:
-        SimulationError: The model cannot be loaded.
-    """
+    """Return the bounding spheres of all links with collision shapes, by link number; -1 is the base."""
     return _read_bounding_spheres(urdf, urdf.stat().st_mtime_ns)
 
 
@@ -116,11 +112,7 @@ class SleepableObject(BodyTrajectory):
 
 
 def create_collision_shape(client: BulletClient, shape: UrdfShape) -> int:
-    """Create a PyBullet collision shape that several bodies can share, and return its number.
-
-    Raises:
-        SimulationError: PyBullet cannot create the shape.
-    """
+    """Create a PyBullet collision shape that several bodies can share, and return its number."""
     options: dict[str, Any]
     if shape.kind == "mesh":
         options = {"shapeType": client.GEOM_MESH, "fileName": str(shape.mesh), "meshScale": list(shape.size)}
@@ -151,9 +143,6 @@ class KinematicHand(BodyTrajectory):
         bodies: PyBullet body numbers; empty while the hand sleeps or is absent.
         is_awake: Whether the hand is in the PyBullet simulation whenever it is present in the scene.
         reach: Largest distance (m) of any point of the hand from the origin of its wrist joints.
-
-    Raises:
-        SimulationError: The model or one of its shapes cannot be loaded.
     """
 
     def __init__(self, client: BulletClient, urdf: Path, config: HandConfig) -> None:

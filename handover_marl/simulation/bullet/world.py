@@ -52,12 +52,7 @@ class BulletWorld(World):
 
     @contextmanager
     def _start_scene(self, scene: Scene) -> Iterator[None]:
-        """Check a scene's files, and show the scene in the window once its models are loaded in this context.
-
-        Raises:
-            OSError: The URDF file of a model cannot be read.
-            SimulationError: A file is damaged, a model cannot be loaded, or PyBullet's window was closed.
-        """
+        """Check a scene's files, and show the scene in the window once its models are loaded in this context."""
         for urdf in scene.urdfs:
             check_model_files(urdf, urdf.stat().st_mtime_ns)
         self._scene, self._release_pending = scene, False

@@ -52,12 +52,7 @@ CAMERA_NOISE_MODELS = {
 
 
 def resolve_camera_noise(camera_noise: str | CameraNoise | None) -> CameraNoise | None:
-    """Return the camera noise with a name, e.g. "realsense"; a `CameraNoise` or None (no noise) is returned unchanged.
-
-    Raises:
-        UnknownNameError: There is no noise model of that name.
-        OptionError: The argument has another type.
-    """
+    """Return the camera noise with a name, e.g. "realsense"; return a `CameraNoise` or None (no noise) unchanged."""
     if camera_noise is None or isinstance(camera_noise, CameraNoise):
         return camera_noise
     if isinstance(camera_noise, str):

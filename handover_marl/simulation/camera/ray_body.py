@@ -151,9 +151,6 @@ def load_ray_body(urdf: Path, label: SegmentationLabel, base: tuple[float, ...] 
     """Load a URDF file's visual meshes for ray casting, with `label` for their pixels; unchanged files are read once.
 
     `base` (7,) is the world pose of the base link: xyz (m), quaternion xyzw.
-
-    Raises:
-        SimulationError, DataFormatError: The model or one of its meshes cannot be read.
     """
     try:
         return _load_ray_body(urdf, read_model_mtimes(urdf), label, base)

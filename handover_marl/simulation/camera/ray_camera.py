@@ -222,9 +222,6 @@ class RayCamera:
     Args:
         assets: Models of the scene.
         config: Poses of robot and table.
-
-    Raises:
-        SimulationError, DataFormatError: A model or one of its meshes cannot be read.
     """
 
     def __init__(self, assets: SceneAssets, config: PhysicsConfig) -> None:

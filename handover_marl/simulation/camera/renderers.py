@@ -16,10 +16,6 @@ def resolve_renderer(name: str, physics: str) -> str:
     Args:
         name: Name of the renderer or "auto", one of `RENDERERS`.
         physics: Kind of physics, one of `PHYSICS`.
-
-    Raises:
-        UnknownNameError: There is no such renderer.
-        OptionError: The renderer needs a package that is not installed.
     """
     check_name("renderer", name, RENDERERS)
     renderer = (BULLET if physics == "exact" else RAYS) if name == "auto" else name
@@ -32,11 +28,7 @@ def resolve_renderer(name: str, physics: str) -> str:
 
 
 def check_rendering(what: str = "rendering") -> None:
-    """Check that PyBullet, which renders scenes, is installed; `what` names the operation in the error.
-
-    Raises:
-        OptionError: PyBullet is not installed.
-    """
+    """Check that PyBullet, which renders scenes, is installed; `what` names the operation in the error."""
     require_pybullet(
         what,
         "without PyBullet, render a 3D replay page with --out FILE.html, and wrist-camera images with renderer='rays'",

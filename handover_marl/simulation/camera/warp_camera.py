@@ -73,9 +73,6 @@ class MeshBank:
         """Copy the meshes of a URDF file to the device, unless they are there, and return their numbers and links.
 
         `base` (7,) is the world pose of the base link: xyz (m), quaternion xyzw. Links named in `without` are left out.
-
-        Raises:
-            SimulationError, DataFormatError: The model or one of its meshes cannot be read.
         """
         key = (urdf, read_model_mtimes(urdf), base, without)
         if key in self._models:
@@ -95,11 +92,7 @@ class MeshBank:
         return found
 
     def read_colors(self) -> None:
-        """Copy the colours of all meshes to the device, unless they are there.
-
-        Raises:
-            SimulationError, DataFormatError: A model, mesh or texture cannot be read.
-        """
+        """Copy the colours of all meshes to the device, unless they are there."""
         while self._uncolored:
             urdf, without = self._uncolored[0]
             for surface in read_surfaces(urdf, read_tree(urdf), without):
@@ -169,12 +162,7 @@ class WarpCamera:
         self._bank: MeshBank | None = None
 
     def load_scene(self, row: int, assets: SceneAssets) -> None:
-        """Load the models of the scene of the world with number `row`.
-
-        Raises:
-            OptionError: Robot or hand have other joints than in the other worlds.
-            SimulationError, DataFormatError: A model or one of its meshes cannot be read.
-        """
+        """Load the models of the scene of the world with number `row`."""
         panda, table = self._config.panda, (*self._config.table_position, *IDENTITY[3:].tolist())
         robot_base = (*panda.base_position, *panda.base_orientation)
         self._robot[row], self._hand[row] = self._robots.add(assets.panda), self._hands.add(assets.hand)

@@ -84,9 +84,6 @@ class WorldData:
             controls: Controls (k, c): actuator targets, mocap positions, mocap quaternions wxyz.
             sensordata: Array (k, s) to write the sensor data of each step to.
             step_states: Array (k, p) to write the changed part of the state after each step to.
-
-        Raises:
-            SimulationError: The engine failed; the written values are invalid.
         """
         batch, model = self.batch, self.select_model(hand_collides)
         if batch.models is not model:
@@ -218,9 +215,6 @@ class BatchSimulation:
             worlds: The worlds, which are set to their states after the last step.
             hands_collide: Whether the hand can collide in these steps, for each world.
             controls: Controls (k, c) of each world: actuator targets, mocap positions, mocap quaternions wxyz.
-
-        Raises:
-            SimulationError: The engine failed; the states of these worlds are invalid.
         """
         first, shape = worlds[0], (len(worlds), len(controls[0]))
         stacked, sensordata = np.stack(controls), np.empty((*shape, len(first.sensordata)))

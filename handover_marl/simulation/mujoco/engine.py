@@ -21,11 +21,7 @@ def configure_engine() -> None:
 
 
 def check_warnings(batch: Batch) -> None:
-    """Raise an error if MuJoCo warned in the world of a batch.
-
-    Raises:
-        SimulationError: There were warnings; the simulated state is invalid.
-    """
+    """Raise an error if MuJoCo warned in the world of a batch."""
     details, counts = batch.warning[0].T
     if not counts.any():
         return

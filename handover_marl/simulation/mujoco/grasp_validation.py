@@ -89,9 +89,6 @@ class GraspValidator:
         object_urdf: Model of the object, on HandoverSim's chain of six joints.
         config: Conditions that a valid grasp must satisfy; None for the defaults.
         panda_urdf: Model of the Panda from which the hand link and the fingers are taken.
-
-    Raises:
-        SimulationError, DataFormatError: A model or a mesh cannot be read.
     """
 
     def __init__(

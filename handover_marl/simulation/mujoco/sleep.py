@@ -82,9 +82,6 @@ class RobotOnlySimulation:
             starts: Previous trajectory of each robot, and the row in it from which the robot starts.
             targets: Nine joint targets of each robot (rad, m).
             steps: Number of steps to simulate.
-
-        Raises:
-            SimulationError: MuJoCo warned; the robots' states are invalid.
         """
         states = [
             np.stack([motion.joints[row], motion.velocities[row], motion.warm_start[row], target])
@@ -168,9 +165,6 @@ class SleepState:
             rows: First step of each reference motion to simulate.
             targets: Nine joint targets of each robot (rad, m).
             hands: Trajectory of each human hand under its current reference motion.
-
-        Raises:
-            SimulationError: MuJoCo warned; the robots' states are invalid.
         """
         groups: dict[tuple[RobotOnlySimulation, tuple[int, ...]], list[tuple[SleepState, int, list[float], Array]]] = {}
         for world, row, target, hand in zip(worlds, rows, targets, hands, strict=True):

@@ -51,9 +51,6 @@ class MujocoWorld(RolloutWorld):
         window: Must be False; only PyBullet opens a window.
         simulation: Batch simulation shared with other worlds; None for a new one.
 
-    Raises:
-        OptionError: A window was requested.
-
     Attributes:
         robot: Simulation of the robot without hand and objects.
         hand: Trajectory of the hand under the current reference, valid after `track_worlds`.
@@ -84,11 +81,7 @@ class MujocoWorld(RolloutWorld):
 
     @property
     def data(self) -> WorldData:
-        """Model and state of the world.
-
-        Raises:
-            ResetNeededError: No scene has been loaded.
-        """
+        """Model and state of the world."""
         if self._data is None:
             raise ResetNeededError("the world has no scene; call reset() first")
         return self._data

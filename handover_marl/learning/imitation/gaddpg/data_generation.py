@@ -153,11 +153,7 @@ class DataGenerator:
 
 
 def list_shared_scenes(data: Dataset, setups: Sequence[str]) -> tuple[int, ...]:
-    """Return the scenes in the training splits of all given setups whose object has known grasps.
-
-    Raises:
-        OptionError: There are no such scenes.
-    """
+    """Return the scenes in the training splits of all given setups whose object has known grasps."""
     common = set.intersection(*(set(data.list_scenes(setup, "train")) for setup in setups)) if setups else set[int]()
     scenes = tuple(scene for scene in sorted(common) if data.load_grasps(data.load_info(scene).target_name) is not None)
     if not scenes:

@@ -234,9 +234,6 @@ class GraspExpert:
 
     Attributes:
         arm: Kinematics of the arm.
-
-    Raises:
-        SimulationError: The robot's model cannot be loaded.
     """
 
     def __init__(self, context: PolicyContext) -> None:

@@ -68,11 +68,7 @@ class SegmentationRenderer(RecordedViewRenderer):
     """Renderer of images of recorded scenes with their segmentation."""
 
     def render_scene(self, number: int) -> SegmentationViews:
-        """Return random images of the scene with a number.
-
-        Raises:
-            SimulationError, DataFormatError: A model or one of its meshes cannot be read.
-        """
+        """Return random images of the scene with a number."""
         rng, scene = np.random.default_rng((self._seed, number)), self._data.load_scene(number)
         camera = RayCamera(scene.assets, self._context.config.physics)
         views = [self._render_view(scene, camera, rng) for _ in range(self._count)]

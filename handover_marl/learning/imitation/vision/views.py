@@ -173,12 +173,7 @@ class ViewRenderer(RecordedViewRenderer):
         self._reactive = reactive or ReactiveConfig()
 
     def render_scene(self, number: int) -> GraspViews:
-        """Return random views of the scene with a number; views with few object points are discarded.
-
-        Raises:
-            SimulationError: A model cannot be loaded.
-            DataFormatError: A mesh of a model cannot be read.
-        """
+        """Return random views of the scene with a number; views with few object points are discarded."""
         # Seeded by the scene, so that files do not depend on the number of processes.
         rng, scene = np.random.default_rng((self._seed, number)), self._data.load_scene(number)
         frames = _sample_frames(scene, self._count, rng).tolist()
@@ -325,11 +320,7 @@ def read_object_pose(scene: Scene, frame: int) -> Array:
 
 
 def read_hand_spheres(scene: Scene, frame: int) -> Spheres | None:
-    """Return spheres in the world that cover the recorded hand in a frame; None if there is no hand.
-
-    Raises:
-        SimulationError: The model of the hand cannot be read.
-    """
+    """Return spheres in the world that cover the recorded hand in a frame; None if there is no hand."""
     if not scene.is_hand_present(np.array([frame]))[0]:
         return None
     tree = read_tree(scene.assets.hand)

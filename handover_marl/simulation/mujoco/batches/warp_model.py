@@ -133,12 +133,7 @@ def is_device_available(device: str) -> bool:
 
 
 def load_padded_model(assets: SceneAssets, config: PhysicsConfig) -> SceneModel:
-    """Compile the model of a scene; absent objects and hulls pad it to a layout that it shares with other scenes.
-
-    Raises:
-        OptionError: An object has collision shapes besides convex hulls.
-        SimulationError, DataFormatError: A model or a mesh cannot be read, or MuJoCo rejects it.
-    """
+    """Compile the model of a scene; absent objects and hulls pad it to a layout that it shares with other scenes."""
     parts = [load_object_parts(urdf) for urdf in assets.objects]
     for urdf, own in zip(assets.objects, parts, strict=True):
         if any(part.kind != "hull" for part in own):

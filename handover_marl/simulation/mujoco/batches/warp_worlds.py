@@ -45,11 +45,7 @@ class DeviceHands:
         self._keypoint_links: AnyArray = None
 
     def reset(self, row: int, urdf: Path, joints: npt.NDArray[np.float32] | None) -> None:
-        """Set the hand of world `row` to the model `urdf` at joint positions (51,) (m, rad), None for no hand yet.
-
-        Raises:
-            OptionError: The hand has other joints than the hands before.
-        """
+        """Set the hand of world `row` to the model `urdf` at joint positions (51,) (m, rad), None for no hand yet."""
         self._hands[row], self.present[row] = self._trees.add(urdf), joints is not None
         if self._keypoint_links is None:
             self._keypoint_links = self._arrays.asarray(select_keypoint_links(read_tree(urdf).moving_links))
@@ -127,12 +123,7 @@ class WarpWorlds(Worlds):
         self._n_objects = arrays.zeros(count, "int64")
 
     def reset(self, row: int, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
-        """Load a scene into world `row`; set hand and objects to `start` (of one row), the robot to `robot_joints`.
-
-        Raises:
-            OptionError: MuJoCo Warp cannot simulate the scene with the others.
-            SimulationError, DataFormatError: A model or a mesh cannot be read, or MuJoCo rejects it.
-        """
+        """Load a scene into world `row`; set hand and objects to `start` (of one row), the robot to `robot_joints`."""
         model = load_padded_model(scene.assets, self._config)
         layout = compute_layout(model)
         if layout not in self._groups:
@@ -225,11 +216,7 @@ class WarpWorlds(Worlds):
         self._group_of = [None] * self._count
 
     def _split(self, rows: AnyArray) -> list[tuple[WarpGroup, AnyArray]]:
-        """Return the groups of worlds, each with the indices in `rows` of its worlds.
-
-        Raises:
-            ResetNeededError: A world has no scene.
-        """
+        """Return the groups of worlds, each with the indices in `rows` of its worlds."""
         groups = [self._group_of[row] for row in to_numpy(rows).tolist()]
         if None in groups:
             raise ResetNeededError("a world has no scene; call reset() first")

@@ -52,20 +52,12 @@ class ConvexPart:
 
 
 def load_convex_parts(shapes: Sequence[UrdfShape]) -> list[ConvexPart]:
-    """Load collision shapes as Bullet does: each object of a mesh file is one convex hull.
-
-    Raises:
-        DataFormatError: A mesh file cannot be read.
-    """
+    """Load collision shapes as Bullet does: each object of a mesh file is one convex hull."""
     return [part for shape in shapes for part in _load_shape(shape, _read_mtime(shape.mesh))]
 
 
 def load_link_parts(urdf: Path, tree: KinematicTree) -> dict[int, list[ConvexPart]]:
-    """Load the collision shapes of each link of a URDF model that has some, by ascending link number; -1 is the base.
-
-    Raises:
-        SimulationError, DataFormatError: The model or one of its meshes cannot be read.
-    """
+    """Load the collision shapes of each link of a URDF model that has any, by ascending link number (-1: the base)."""
     shapes = read_urdf_shapes(urdf, tree, "collision")
     links = sorted({shape.link for shape in shapes})
     return {link: load_convex_parts([shape for shape in shapes if shape.link == link]) for link in links}
@@ -113,11 +105,7 @@ def compute_box_inertia(link: UrdfLink, parts: Sequence[ConvexPart]) -> Array:
 
 
 def compute_bounding_spheres(urdf: Path, tree: KinematicTree) -> dict[int, BoundingSphere]:
-    """Compute the bounding spheres of all links with collision shapes, by link number; -1 is the base.
-
-    Raises:
-        SimulationError, DataFormatError: The model or one of its meshes cannot be read.
-    """
+    """Compute the bounding spheres of all links with collision shapes, by link number; -1 is the base."""
     spheres = {}
     for link, parts in load_link_parts(urdf, tree).items():
         lower, upper = _compute_bounds(parts, False)

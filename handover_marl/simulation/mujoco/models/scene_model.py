@@ -130,9 +130,6 @@ def load_scene_model(assets: SceneAssets, config: PhysicsConfig, padding: ModelP
         assets: Model files of the scene.
         config: Constants of the world.
         padding: Sizes to which the model is padded; the indices are those of the scene's own objects.
-
-    Raises:
-        SimulationError, DataFormatError: A model or a mesh cannot be read, or MuJoCo rejects it.
     """
     files = (assets.table, assets.panda, *assets.objects, assets.hand)
     try:

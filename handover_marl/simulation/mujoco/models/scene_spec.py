@@ -335,11 +335,7 @@ def _make_empty_spec() -> "mujoco.MjSpec":
 
 
 def load_object_parts(urdf: Path) -> list[ConvexPart]:
-    """Load the convex parts of an object's collision shape.
-
-    Raises:
-        SimulationError, DataFormatError: The model or a mesh cannot be read.
-    """
+    """Load the convex parts of an object's collision shape."""
     return load_convex_parts(read_urdf_shapes(urdf, read_tree(urdf), "collision"))
 
 
