@@ -72,11 +72,14 @@ GaddpgFunction = Callable[[Array, int], npt.ArrayLike]
 
 
 class PointCloudMemory:
-    """Memory of the object's last point cloud and of the number of remaining decisions.
+    """Memory of the object's last point cloud, and of the number of decisions left before the gripper closes.
 
-    The authors' scripts call the cloud accumulated, but each view replaces the cloud. The seed of the random selection
-    of points is the same in every episode. `cloud` (3, n) has float64 points in the robot's base frame (m), no columns
-    before the first view of the object.
+    GA-DDPG's scripts call the cloud accumulated, but each view replaces it. The seed of the random selection of points
+    is the same in every episode.
+
+    Attributes:
+        cloud: (3, n) float64 points of the object in the robot's base frame (m); n = 0 before the first view of it.
+        remaining: Number of decisions left.
     """
 
     def __init__(self, max_steps: int = 20, seed: int = 123456) -> None:

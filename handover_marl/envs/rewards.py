@@ -98,7 +98,10 @@ def compute_goal_potential(steps: Steps, states: AnyArray) -> AnyArray:
 
 
 def compute_shaping(potential: Callable[[Steps, AnyArray], AnyArray], steps: Steps) -> AnyArray:
-    """Return (r,) gamma times the potential after each step, 0 once terminated, minus the potential before the step."""
+    """Return the shaping reward (r,) of each step: gamma times the potential after it, minus the potential before it.
+
+    The potential after a step that terminates the episode is 0.
+    """
     # A timeout truncates an episode; only termination ends its potential.
     goes_on = widen((steps.status & ~int(EpisodeStatus.TIMEOUT)) == 0)
     return steps.gamma * goes_on * potential(steps, steps.states[:, -1]) - potential(steps, steps.states[:, -2])
@@ -117,7 +120,10 @@ def compute_discomfort(steps: Steps) -> AnyArray:
 
 
 def compute_path(position: slice, steps: Steps) -> AnyArray:
-    """Return (r,) the distance (m) between positions, in columns `position`, before and after each step; 0 for NaN."""
+    """Return the distances (r,) in m between the positions before and after each step; 0 if a position is NaN.
+
+    `position` has the columns of the positions in the stored states of `Steps`.
+    """
     return _replace_nan(compute_lengths(steps.states[:, -1, position] - steps.states[:, -2, position]))
 
 

@@ -82,9 +82,9 @@ def hash_package(name: str) -> str:
 
 
 def find_package(function: object) -> str:
-    """Return the top-level package from which a function, class or object is imported by other processes.
+    """Return the name of the top-level package from which other processes import a function, class or object.
 
-    The name is empty if the code is pickled instead, such as the code of a script.
+    The name is empty if they do not import the code but unpickle it, as for code of a script.
     """
     if isinstance(function, functools.partial):
         return find_package(function.func)

@@ -66,7 +66,9 @@ class FaceHit:
 def cast_ray(
     mesh: warp.uint64, rotation: warp.mat33, origin: warp.vec3, ray: warp.vec3, near: float, far: float
 ) -> FaceHit:
-    """Return the first front face of a mesh that a ray from the camera hits from depth `near` to `far` (m), -1 if none.
+    """Return the first hit of a ray from the camera on a front face of a mesh, from depth `near` to `far` (m).
+
+    Without a hit, `face` of the result is -1.
 
     `rotation` and `origin` are the pose of the mesh in the camera's frame, in which `ray` is a direction with z = 1.
     """
