@@ -163,12 +163,9 @@ class Report(TabularResult):
 
     @property
     def extent(self) -> str:
-        """Number of evaluated scenes as text: "all 144 scenes", or "9 of 144 scenes (partial, shard 3/16)"."""
+        """Number of evaluated scenes as text: "all 144 scenes", or "9 of 144 scenes (partial)"."""
         n = len(self.episodes)
-        shard = self.metadata.shard.partition(" ")[0]
-        if self.is_partial or shard:
-            return f"{n} of {self.metadata.split_size} scenes (partial{f', shard {shard}' if shard else ''})"
-        return f"all {n} scenes"
+        return f"{n} of {self.metadata.split_size} scenes (partial)" if self.is_partial else f"all {n} scenes"
 
     def format_notes(self) -> str:
         """Return notes on the definitions and restrictions that a reader of the tables needs, one per line."""
