@@ -77,7 +77,7 @@ def _copy_files(files: dict[str, dict[Path, Path]], target: Path) -> None:
     """Copy the files of each subfolder, by their paths in it, to a new or empty folder."""
     try:
         target.mkdir(parents=True, exist_ok=True)
-        if any(target.iterdir()):
+        if any(not entry.name.startswith(".") for entry in target.iterdir()):
             raise ResultsError(f"{target} is not empty; choose another output folder")
         for path in {target / name / copy for name, copies in files.items() for copy in copies}:
             path.parent.mkdir(parents=True, exist_ok=True)
