@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.assets.shipped import DATA_ROOT, TEMPLATES_PACKAGE, load_shipped_arrays
-from handover_marl.geometry.model_files.urdf import render_urdf
+from handover_marl.execution.files import render_template
 from handover_marl.geometry.rotations import euler_from_matrices, matrices_from_euler, rotate_points
 from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES
 
@@ -186,7 +186,7 @@ def _round_to_micrometres(values: FloatArray) -> FloatArray:
 
 def format_hand_urdf(model: HandGeometry, name: str, color: tuple[float, float, float], folder: str) -> str:
     """Return the text of a hand's URDF with HandoverSim's 53 links, an RGB color (0 to 1) and a folder of meshes."""
-    return render_urdf(
+    return render_template(
         TEMPLATES_PACKAGE,
         "hand.urdf",
         name=name,

@@ -19,10 +19,10 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.errors import check_name
+from handover_marl.execution.files import render_template
 from handover_marl.execution.options import require_pybullet
 from handover_marl.execution.reading import read_arrays, report_damage
 from handover_marl.geometry.model_files.obj_files import format_convex_parts
-from handover_marl.geometry.model_files.urdf import render_urdf
 from handover_marl.geometry.ycb import CLASS_NAMES
 
 Array = npt.NDArray[np.float64]
@@ -93,7 +93,7 @@ def format_object_files(
         COLLISION_NAME: format_convex_parts(parts),
         VISUAL_NAME: _format_visual(colored),
         **{name: (OBJECTS_ROOT / "025_mug" / name).read_bytes() for name in ("palette.png", "palette.mtl")},
-        URDF_NAME: render_urdf(TEMPLATES_PACKAGE, "object.urdf", **names, mass=mass, friction=friction),
+        URDF_NAME: render_template(TEMPLATES_PACKAGE, "object.urdf", **names, mass=mass, friction=friction),
     }
 
 

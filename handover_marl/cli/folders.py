@@ -112,11 +112,11 @@ def run_compare(
 
 
 def run_merge(folders: _Folders, out: Folder, tables: TableArguments = _TABLES) -> None:
-    """Merge the result folders of all shards (--shard) into one, and print its table.
+    """Merge the result folders of shards (--shard) into one, and print its table.
 
     Args:
         folders: Result folders of the shards, in any order.
-        out: Result folder to create; it equals the folder of an evaluation without shards.
+        out: Result folder to create, new or empty; it equals the folder of an evaluation without shards.
     """
     from handover_marl.evaluation.merge import merge
     from handover_marl.evaluation.reports.tables import TabularResult

@@ -175,11 +175,9 @@ def _prepare(
         require_replay_extra()
     config, dataset = resolve_config(config, execution.trust)
     split_ids = dataset.list_scenes(config.setup, config.split)
-    scenes, shard = tuple(config.scenes or ()), execution.shard or ""
-    if shard:
-        config = replace(config, scenes=select_shard(shard, scenes))
-        shard += "" if scenes == split_ids else f" of {','.join(map(str, scenes))}"
-    metadata = ResultMetadata.from_config(config, recorded, shard, len(split_ids))
+    if execution.shard is not None:
+        config = replace(config, scenes=select_shard(execution.shard, tuple(config.scenes or ())))
+    metadata = ResultMetadata.from_config(config, recorded, len(split_ids))
     folder = None
     if execution.folder is not None:
         text = format_config(metadata, config.world_config)

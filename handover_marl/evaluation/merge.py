@@ -1,143 +1,90 @@
-"""Merge of the result folders of all shards into the folder of the whole evaluation."""
+"""Merge of the result folders of shards into one folder."""
 
-import csv
-import io
 import os
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from handover_marl.errors import OptionError, ResultsError
-from handover_marl.evaluation.crossplay import CROSSPLAY_CSV, CrossPlay, format_pair_folder
+from handover_marl.evaluation.crossplay import CROSSPLAY_CSV, CrossPlay, format_pair_folder, read_pairs
 from handover_marl.evaluation.demonstrations.demonstration import Demonstrations
-from handover_marl.evaluation.metadata import ResultMetadata, format_merged_config, read_result_metadata
+from handover_marl.evaluation.metadata import CONFIG_FILE
 from handover_marl.evaluation.reports.report import Report, load_report, write_report
-from handover_marl.evaluation.results import (
-    DEMONSTRATIONS,
-    ResultFolder,
-    find_recordings,
-    get_result_path,
-    read_results,
-)
-from handover_marl.execution.files import shorten_text, write_atomically
+from handover_marl.evaluation.results import DEMONSTRATIONS, DEMONSTRATIONS_METADATA, find_numbered, find_recordings
+from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import check_path
 from handover_marl.execution.reading import read_plain_file, report_damage
-
-_MAX_LISTED = 8  # missing scenes that an error lists
 
 
 def merge(
     folders: Sequence[str | os.PathLike[str]], out: str | os.PathLike[str]
 ) -> Report | CrossPlay | Demonstrations:
-    """Merge the folders of all shards, parts of the scenes such as "3/16", into one folder of the whole evaluation.
+    """Merge the folders of shards, parts of the scenes such as "3/16", into one folder of the whole evaluation.
 
-    Nothing is simulated, and nothing is written unless all shards are complete.
+    Nothing is simulated. The report states how many scenes of the split have a result.
 
     Args:
         folders: Folders of the shards, in any order: of `benchmark`, `evaluate_pair`, `crossplay` or
             `demonstrate`.
-        out: Folder to create.
+        out: New or empty folder.
 
     Returns:
         The result that the whole evaluation would have returned.
 
     Raises:
-        ResultsError: The folders are not all shards of one evaluation, one cannot be read, or `out`
-            holds another evaluation or cannot be written.
+        ResultsError: The folders are of different evaluations or have results of the same scene, one cannot be read,
+            or `out` is not empty or cannot be written.
         OptionError: `folders` is not a list of paths, or `out` is not a path.
-        DataFormatError: The description of demonstrations is damaged.
+        DataFormatError: A result, a recording or the description of demonstrations is damaged.
     """
     if isinstance(folders, (str, bytes)) or not isinstance(folders, Sequence) or not folders:
         raise OptionError(f"folders must be a list of at least one path, got {folders!r}")
     paths, target = [check_path("folders", folder) for folder in folders], check_path("out", out)
-    if target.resolve() in [path.resolve() for path in paths]:
-        raise ResultsError(f"{target} is one of the shards; choose another output folder")
-    if any((path / CROSSPLAY_CSV).exists() for path in paths):
-        pairs = _read_pairs(paths[0] / CROSSPLAY_CSV)
-        reports = _merge_subfolders(paths, target, [format_pair_folder(pair) for pair in pairs])
+    pairs = read_pairs(paths[0]) if any((path / CROSSPLAY_CSV).exists() for path in paths) else []
+    names = [format_pair_folder(pair) for pair in pairs] or [""]
+    files = {name: _find_files([path / name for path in paths]) for name in names}
+    if len({tuple(sorted(path for path in copies if path.suffix == ".npz")) for copies in files.values()}) > 1:
+        raise ResultsError("not all pairs have results of the same scenes; run the shards' commands again to resume")
+    _copy_files(files, target)
+    reports = [load_report(target / name) for name in names]
+    for name, report in zip(names, reports, strict=True):
+        write_report(target / name, report)
+    if pairs:
         crossplay = CrossPlay(dict(zip(pairs, reports, strict=True)))
         crossplay.write(target)
         return crossplay
-    (report,) = _merge_subfolders(paths, target, (".",))
-    return Demonstrations(target) if (target / DEMONSTRATIONS).exists() else report
+    return Demonstrations(target) if (target / DEMONSTRATIONS).exists() else reports[0]
 
 
-def _read_pairs(path: Path) -> list[tuple[str, str]]:
-    """Read the labels (giver, receiver) of all pairs of a cross-play from its table."""
-    try:
-        text = read_plain_file(path).decode()
-        return [(row["giver"], row["receiver"]) for row in csv.DictReader(io.StringIO(text, newline=""))]
-    except (OSError, ValueError, KeyError, csv.Error) as error:
-        raise ResultsError(
-            f"{path}: not a cross-play table ({shorten_text(error)}); run the same command to resume"
-        ) from error
-
-
-def _merge_subfolders(paths: Sequence[Path], target: Path, names: Sequence[str]) -> list[Report]:
-    """Merge the subfolders `names` of the shards, after reading all, into those of `target`; return their reports."""
-    shards = {name: _read_shards([path / name for path in paths]) for name in names}
-    return [_write_merged(*read, target / name) for name, read in shards.items()]
-
-
-def _read_shards(paths: Sequence[Path]) -> tuple[ResultMetadata, dict[int, Path]]:
-    """Return the identity of the whole evaluation of which all shards are in `paths`, and its result files by index."""
-    found: dict[int, Path] = {}
-    scenes: set[int | None] = set()
-    first = _read_identity(paths[0])
-    for path in paths:
-        if different := first.describe_differences(_read_identity(path), f"in {paths[0]}", f"in {path}"):
-            raise ResultsError(f"these are shards of different evaluations: {'; '.join(different)}")
-        for recording in find_recordings(path):
-            # A symbolic link could name any file of this machine.
-            if not recording.is_file() or not recording.resolve().is_relative_to(path.resolve()):
-                raise ResultsError(f"{recording} is not a file in the result folder; remove it")
-        for result in read_results(path, allow_empty=True):
-            file = get_result_path(path, result.index)
-            if result.index in found:
-                raise ResultsError(f"{found[result.index]} and {file} are of the same scene; leave one shard out")
-            found[result.index] = file
-            scenes.add(result.scene_id)
-    n_shards, _, chosen = first.shard.partition(" of ")
-    # Selected scenes are identified by number: their index in the split requires the dataset.
-    missing = (
-        [f"scene {scene}" for scene in map(int, chosen.split(",")) if scene not in scenes]
-        if chosen
-        else [f"{index:03d}.npz" for index in range(first.split_size) if index not in found]
-    )
-    if missing:
-        listed = ", ".join(missing[:_MAX_LISTED]) + (", ..." if len(missing) > _MAX_LISTED else "")
-        raise ResultsError(
-            f"these are not all shards, or not finished: {len(missing)} scenes have no result ({listed}); run the "
-            f"commands of all {n_shards} shards again to resume"
-        )
-    return replace(first, shard=""), dict(sorted(found.items()))
-
-
-def _read_identity(path: Path) -> ResultMetadata:
-    """Return a shard's identity without the shard's number: `shard` is "16", or "16 of 209,214" for chosen scenes."""
-    metadata = read_result_metadata(path)
-    if not metadata.shard:
-        raise ResultsError(f"{path} is not a shard: it was evaluated without --shard")
-    return replace(metadata, shard=metadata.shard.partition("/")[2])
-
-
-def _write_merged(metadata: ResultMetadata, files: dict[int, Path], out: Path) -> Report:
-    """Write results, recordings and report of the whole evaluation into the folder `out`; return the report."""
-    folders = list(dict.fromkeys(file.parent for file in files.values()))
-    ResultFolder(out, metadata, format_merged_config(folders[0]))
+def _find_files(folders: Sequence[Path]) -> dict[Path, Path]:
+    """Return the results and recordings of all shards of an evaluation by their paths in the merged folder."""
+    first, files = load_report(folders[0]).metadata, {Path(CONFIG_FILE): folders[0] / CONFIG_FILE}
     for folder in folders:
-        for recording in find_recordings(folder):
-            copy = out / recording.relative_to(folder)
-            copy.parent.mkdir(exist_ok=True)
-            _copy_file(recording, copy)
-    for index, file in files.items():
-        _copy_file(file, get_result_path(out, index))
-    report = load_report(out)
-    write_report(out, report)
-    return report
+        different = first.describe_differences(load_report(folder).metadata, f"in {folders[0]}", f"in {folder}")
+        if different:
+            raise ResultsError(f"these are shards of different evaluations: {'; '.join(different)}")
+        for file in (*find_numbered(folder, ".npz").values(), *find_recordings(folder)):
+            # A symbolic link could name any file of this machine.
+            if not file.is_file() or not file.resolve().is_relative_to(folder.resolve()):
+                raise ResultsError(f"{file} is not a file in the result folder; remove it")
+            name = file.relative_to(folder)
+            if name in files and name.name != DEMONSTRATIONS_METADATA:
+                raise ResultsError(f"{files[name]} and {file} are of the same scene; leave one shard out")
+            files[name] = file
+    return files
 
 
-def _copy_file(source: Path, target: Path) -> None:
-    with report_damage(source, "result or recording", "remove it and evaluate its scene again"):
-        content = read_plain_file(source)
-    write_atomically(target, content)
+def _copy_files(files: dict[str, dict[Path, Path]], target: Path) -> None:
+    """Copy the files of each subfolder, by their paths in it, to a new or empty folder."""
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+        if any(not entry.name.startswith(".") for entry in target.iterdir()):
+            raise ResultsError(f"{target} is not empty; choose another output folder")
+        for path in {target / name / copy for name, copies in files.items() for copy in copies}:
+            path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ResultsError(f"cannot use {target}: {error.strerror or error}; choose another output folder") from error
+    for name, copies in files.items():
+        for copy, source in copies.items():
+            with report_damage(source, "result or recording", "remove it and evaluate its scene again"):
+                content = read_plain_file(source)
+            write_atomically(target / name / copy, content)

@@ -26,7 +26,6 @@ CONFIG_FILE = "config.yaml"
 OFFICIAL_WORLD = "official"
 _NOISE_PREFIX = "initial_joint_noise="
 _LIBRARY_SECTION = "HANDOVER_MARL"
-_MAX_TEXT = 20_000  # characters; a shard lists its scenes
 _SPLIT_SIZE = re.compile(r"[1-9][0-9]{0,6}")
 _CHOICES = {"split": SPLITS, "physics": PHYSICS, "robot": ROBOTS, "obs_mode": OBS_PARTS}
 _MAX_BYTES = 64_000  # HandoverSim's own configuration files have a few thousand bytes.
@@ -53,7 +52,6 @@ class ResultMetadata:
         obs_mode: Observation mode of the receiver.
         camera: Renderer, camera model and noise of the cameras; empty if the receiver uses none.
         recorded: Recordings kept beside the results; empty if there are none.
-        shard: Part of the evaluation in this folder; empty if the evaluation has no shards.
         missing_package: "PyBullet" if it is not installed, so that inverse kinematics, grasp
             validation and distances were computed by the library and MuJoCo; else empty.
         n_split_scenes: Number of scenes in the split; empty for an official setup, whose sizes are known.
@@ -77,15 +75,12 @@ class ResultMetadata:
     obs_mode: str = STATE
     camera: str = ""
     recorded: str = ""
-    shard: str = ""
     missing_package: str = ""
     n_split_scenes: str = ""
     inference_time: str = ""
 
     @classmethod
-    def from_config(
-        cls, config: EvaluationConfig, recorded: str = "", shard: str = "", n_split_scenes: int = 0
-    ) -> "ResultMetadata":
+    def from_config(cls, config: EvaluationConfig, recorded: str = "", n_split_scenes: int = 0) -> "ResultMetadata":
         """Create the identity of an evaluation from its resolved configuration.
 
         The number of scenes in the split, `n_split_scenes`, may be left out for an official setup.
@@ -105,7 +100,6 @@ class ResultMetadata:
             obs_mode=receiver.obs_mode,
             camera=config.sensors.describe(receiver.obs_mode, config.physics),
             recorded=recorded,
-            shard=shard,
             missing_package="" if is_pybullet_installed() else "PyBullet",
             n_split_scenes="" if config.setup in SETUPS else str(n_split_scenes),
             inference_time="" if config.inference_time is None else str(config.inference_time),
@@ -162,18 +156,13 @@ def format_config(metadata: ResultMetadata, config: WorldConfig = OFFICIAL_CONFI
     return yaml.safe_dump(content, sort_keys=False)
 
 
-def format_merged_config(path: Path) -> str:
-    """Return the content of `config.yaml` for the whole evaluation, given the folder of one of its shards."""
-    content = _read_yaml(path)
-    return yaml.safe_dump({**content, _LIBRARY_SECTION: {**content[_LIBRARY_SECTION], "shard": ""}}, sort_keys=False)
-
-
 def read_result_metadata(path: Path) -> ResultMetadata:
     """Read the identity of a result folder, of this library or of HandoverSim."""
     config_path, content = path / CONFIG_FILE, _read_yaml(path)
     try:
         benchmark, library = content["BENCHMARK"], content.get(_LIBRARY_SECTION)
-        values = _infer_handoversim_metadata(path, content) if library is None else library
+        values = _infer_handoversim_metadata(path, content) if library is None else dict(library)
+        values.pop("shard", None)  # written by versions before 0.9
         metadata = ResultMetadata(setup=benchmark["SETUP"], split=benchmark["SPLIT"], **values)
         stored = {**benchmark, **content.get("SIM", {})}
     except Exception as error:  # the file may have any content
@@ -193,10 +182,9 @@ def check_metadata(metadata: ResultMetadata, path: Path) -> None:
     """Check the identity of an evaluation that was read from the file `path`, which errors name."""
     for key, value in asdict(metadata).items():
         # Control characters could change a terminal that prints the report.
-        if not isinstance(value, str) or not value.isprintable() or len(value) > _MAX_TEXT:
+        if not isinstance(value, str) or not value.isprintable():
             raise ResultsError(
-                f"{path}: {key} must be text without control characters, at most {_MAX_TEXT} characters, got "
-                f"{shorten_text(ascii(value) if isinstance(value, str) else value)}"
+                f"{path}: {key} must be text without control characters, got {shorten_text(value)!a}"
             )
         parts = value.split("+") if key == "obs_mode" else [value]
         if not set(parts) <= set(_CHOICES.get(key, parts)):

@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from handover_marl.datasets.registry import format_dataset_title
-from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import EpisodeCallback
-from handover_marl.episode.metrics.motion import SAMPLE_STEPS, EpisodeTrace, compute_speeds
+from handover_marl.episode.metrics.motion import EpisodeTrace, compute_speeds
 from handover_marl.evaluation.config import (
     REPLAYS_ALL,
     EvaluationConfig,
@@ -34,45 +33,20 @@ COLUMNS = (
 )
 
 
-class ForceRecorder(EpisodeCallback):
-    """Recorder of contact forces, with a sample every 20 ms, at the times of an `EpisodeTrace`.
-
-    `forces` has for each sample the forces on the object and on the person's hand: the largest sum of the robot's
-    normal forces in one physics step since the previous sample (N).
-    """
-
-    def on_reset(self, episode: Episode) -> None:
-        """Discard the forces of the previous episode; the sample at the start has zero forces."""
-        self.forces, self._largest = [(0.0, 0.0)], (0.0, 0.0)
-
-    def on_step(self, episode: Episode) -> None:
-        """Update the largest forces since the last sample; append them to `forces` every `SAMPLE_STEPS` steps."""
-        found, (on_object, on_hand) = episode.contacts, self._largest
-        self._largest = max(on_object, found.robot_object_force), max(on_hand, found.robot_hand_force)
-        if episode.steps % SAMPLE_STEPS == 0:
-            self.forces.append(self._largest)
-            self._largest = (0.0, 0.0)
-
-    def on_end(self, episode: Episode) -> None:
-        """Add forces after the last sample, such as those of a contact that ended the episode, to the last sample."""
-        self.forces[-1] = max(self.forces[-1][0], self._largest[0]), max(self.forces[-1][1], self._largest[1])
-
-
 class TraceWriter(EpisodeWriter):
     """Writer of the time series of each episode, as a CSV file with the columns `COLUMNS`."""
 
     def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
-        """Create the recorder of contact forces, and the function that returns the content of an episode's CSV file."""
-        recorder = ForceRecorder()
-        return recorder, lambda result, trace: format_trace(trace, recorder).encode()
+        """Return a callback that does nothing, and the function that returns the content of an episode's CSV file."""
+        return EpisodeCallback(), lambda _, trace: format_trace(trace).encode()
 
     def get_path(self, result: EpisodeResult) -> Path:
         """Return the path of an episode's CSV file, which is named after the scene: `traces/209.csv`."""
         return self.path / f"{result.scene_id or 0:03d}.csv"
 
 
-def format_trace(trace: EpisodeTrace, recorder: ForceRecorder) -> str:
-    """Return a motion trace, and the forces recorded in the same episode, as CSV text with the columns `COLUMNS`."""
+def format_trace(trace: EpisodeTrace) -> str:
+    """Return a motion trace as CSV text with the columns `COLUMNS`."""
     has_hand = np.isfinite(trace.wrist[:, 0])
     values = np.column_stack(
         [
@@ -82,7 +56,7 @@ def format_trace(trace: EpisodeTrace, recorder: ForceRecorder) -> str:
             compute_speeds(trace.gripper, trace.period),
             np.where(has_hand, compute_speeds(trace.wrist, trace.period), np.nan),
             np.linalg.norm(trace.gripper - trace.wrist, axis=1),
-            recorder.forces,
+            trace.forces,
         ]
     )
     return format_csv([COLUMNS, *([None if np.isnan(cell) else f"{cell:.6g}" for cell in row] for row in values)])

@@ -1,4 +1,4 @@
-"""Atomic writing of files, locks, and text of errors for messages."""
+"""Atomic writing of files, locks, text from templates, and text of errors for messages."""
 
 import contextlib
 import fcntl
@@ -98,6 +98,25 @@ def encode_arrays(arrays: Mapping[str, Any]) -> bytes:
     stream = io.BytesIO()
     np.savez_compressed(stream, **arrays)
     return stream.getvalue()
+
+
+def render_template(package: str, template: str, escape: bool = False, **content: Any) -> str:
+    """Render a Jinja template, a file in `templates/` of a package, with the variables `content`.
+
+    With `escape`, values are escaped for HTML.
+    """
+    # Imported here: simulations write no such files.
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader(package),
+        autoescape=escape,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    return environment.get_template(template).render(**content)
 
 
 def shorten_text(value: object) -> str:

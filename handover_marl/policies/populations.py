@@ -9,7 +9,7 @@ import json
 import os
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -67,7 +67,7 @@ class Population:
         description: Sentence on its purpose.
         givers: Givers, partners of receivers.
         receivers: Receivers, partners of givers.
-        content_hash: Hash (12 hex digits) of the file's content and of the files that its policies name.
+        content_hash: Hash (12 hex digits) of the file's content and of the files whose paths its policies have.
         path: Path of the file.
     """
 
@@ -136,8 +136,11 @@ def load_population(population: str | os.PathLike[str] = DEFAULT_POPULATION, tru
         _check_partners(path, members)
         for partner in members:
             check_stored_reference(path, agent, partner.policy, trust, list_available(agent))
-            for file in _read_policy_files(found, agent, partner):
-                digest.update(hashlib.sha256(file).digest())
+            for word in re.split("[:,=]", partner.policy):
+                # The class may be one that is not installed here; which options name files is not known.
+                if "/" in word:
+                    file = Path(word.replace(_FOLDER, str(path.parent))).expanduser()
+                    digest.update(hashlib.sha256(read_policy_file(file)).digest())
     return replace(found, content_hash=digest.hexdigest()[:12])
 
 
@@ -175,17 +178,6 @@ def _check_partners(path: Path, partners: Sequence[Partner]) -> None:
         for value, count in Counter(values).items():
             if count > 1:
                 raise DataFormatError(f"{path}: every {what} must be unique, got {value!r} twice")
-
-
-def _read_policy_files(population: Population, agent: str, partner: Partner) -> Iterator[bytes]:
-    """Yield the contents of the files that the policy of a partner, who acts for `agent`, names."""
-    policy = population.get_policy(partner)
-    name, options, _ = policy.partition(":")
-    if options and name in list_available(agent):
-        yield from (content for *_, content in parse_policy(agent, policy).read_files())
-    else:  # The class may be one that is not installed here; which options name files is not known.
-        for file in re.findall(rf"{_FOLDER}/([^:,=]+)", partner.policy):
-            yield read_policy_file(population.path.parent / file)
 
 
 class PopulationPolicy(Policy):

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from PIL import ImageColor
 
 from handover_marl.config import HAND_DOF, TIME_STEP, CameraConfig
+from handover_marl.execution.files import render_template
 from handover_marl.execution.options import require_modules
 from handover_marl.geometry.kinematic_tree import compute_link_trajectory, read_tree
 from handover_marl.geometry.model_files.meshes import VisualMesh, read_visual_meshes
@@ -24,7 +25,6 @@ from handover_marl.geometry.poses import IDENTITY, poses_from_rotations, transfo
 from handover_marl.simulation.camera.images import LABEL_COLORS, JointSnapshot, SegmentationLabel
 from handover_marl.version import __version__
 from handover_marl.visualization.replay_recorder import ReplayFrame, ReplayRecorder, describe_frame, list_events
-from handover_marl.visualization.web_page import render_page
 
 if TYPE_CHECKING:
     from viser import SceneApi
@@ -83,8 +83,10 @@ def build_replay_page(log: ReplayRecorder, facts: str, camera: CameraConfig | No
     """
     info, steps = log.scene.info, log.frames[-1].step
     outcome = f"{log.status.label} after {steps * TIME_STEP:.2f} s" if log.status else "the recording alone"
-    return render_page(
+    return render_template(
+        "handover_marl.visualization",
         "replay.html",
+        escape=True,
         version=__version__,
         title=f"Scene {info.scene_id}, {info.target_name}: {outcome}",
         mark=f"scene {info.scene_id}, {log.status.label}, {steps} steps",

@@ -158,15 +158,13 @@ def test_values_of_a_report_are_compared(tmp_path: Path, monkeypatch: pytest.Mon
     assert check(n_resumed=-1) == ([], 0), "another version wrote it"
     monkeypatch.setattr(verification, "__version__", "1.0")
     assert check() == ([], 0)
-    values = (None, "report.json", "other values (1), e.g. {}", "the values of these results")
     one, two = report["episodes"]
-    for name, changes in {
-        "n_resumed": {"n_resumed": -1},
-        "episodes[1].steps": {"episodes": [one, two | {"steps": 1}]},
-    }.items():
-        assert check(**changes) == ([(*values[:2], values[2].format(name), values[3])], 0)
-    assert check(n_resumed=3)[0][0] == check(n_resumed=-1)[0][0]
-    assert "report.json" not in {each[1] for each in check(n_resumed=2)[0]}
+    assert check(n_resumed=-1) == ([(None, "report.json.n_resumed", "-1", "0")], 0)
+    forged = [one, two | {"steps": 1, "plan_s": 9.0}]
+    expected = [(None, "report.json.episodes[1].plan_s", "9", f"{two['plan_s']:.6g}")]
+    assert check(episodes=forged) == (expected, 0), "the first value that differs"
+    assert check(n_resumed=3)[0][0] == (None, "report.json.n_resumed", "3", "2")
+    assert not [each[1] for each in check(n_resumed=2)[0] if "report.json" in each[1]]
     for name in ("report.md", "report.html", "episodes.csv"):
         content = (tmp_path / name).read_bytes()
         (tmp_path / name).write_bytes(content + b" ")

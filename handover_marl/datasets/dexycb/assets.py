@@ -32,13 +32,18 @@ from handover_marl.datasets.official_files import (
     read_third_party_checksums,
 )
 from handover_marl.errors import DataFormatError, ResultsError
-from handover_marl.execution.files import create_exclusively, has_content, remove_stale_temporaries, write_atomically
+from handover_marl.execution.files import (
+    create_exclusively,
+    has_content,
+    remove_stale_temporaries,
+    render_template,
+    write_atomically,
+)
 from handover_marl.execution.options import PoolConfig
 from handover_marl.execution.pool import map_with_progress
 from handover_marl.execution.reading import check_plain_file, report_damage
 from handover_marl.geometry.model_files.meshes import compute_convex_hull, decompose_convex
 from handover_marl.geometry.model_files.obj_files import format_convex_parts, format_obj, read_obj
-from handover_marl.geometry.model_files.urdf import render_urdf
 from handover_marl.geometry.panda import PANDA_CAMERA
 from handover_marl.geometry.ycb import CLASS_NAMES
 
@@ -109,7 +114,7 @@ def write_hand_assets(assets: Path, subject: str, model: ManoModel, betas: Seque
     joints = model.regress_joints(vertices)
     positions = [joints[0], *(joints[joint] - joints[PARENTS[joint]] for joint in range(1, N_JOINTS))]
     # 53 links, 16 with meshes.
-    urdf = render_urdf(
+    urdf = render_template(
         __package__,
         "hand.urdf",
         positions=[format_numbers(*position) for position in positions],
@@ -132,7 +137,7 @@ def write_hand_assets(assets: Path, subject: str, model: ManoModel, betas: Seque
 
 def write_object_assets(assets: Path) -> None:
     """Write `<class>/model_normalized.urdf` of the 21 YCB classes to the folder `assets`."""
-    content = render_urdf(__package__, "object.urdf").encode()
+    content = render_template(__package__, "object.urdf").encode()
     write_missing_files(assets, {f"{name}/model_normalized.urdf": content for name in CLASS_NAMES.values()})
 
 

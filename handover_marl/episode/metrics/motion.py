@@ -52,7 +52,8 @@ class EpisodeTrace:
         wrist: (n, 3) positions of the person's wrist (m), NaN if there is no hand.
         steps: Number of physics steps of the episode.
         release_step: Physics step in which the person released the object; None if there is no release.
-        max_object_force: Largest sum of the normal forces between robot and object in one physics step (N).
+        forces: (n, 2) largest sums of the robot's normal forces on object and person's hand in one physics step since
+            the previous sample (N); the last sample includes the steps after it.
         min_distance: Smallest distance between robot and human hand (m), 0 after contact, None if there is no hand.
         max_hand_force: Largest sum of the normal forces between robot and human hand in one physics step (N); None
             without contact.
@@ -72,7 +73,7 @@ class EpisodeTrace:
     wrist: Array
     steps: int
     release_step: int | None
-    max_object_force: float
+    forces: Array
     min_distance: float | None
     max_hand_force: float | None = None
     hand_impulse: float | None = None
@@ -86,6 +87,11 @@ class EpisodeTrace:
     def period(self) -> float:
         """Time between two samples (s)."""
         return self.sample_steps * TIME_STEP
+
+    @property
+    def max_object_force(self) -> float:
+        """Largest sum of the normal forces between robot and object in one physics step (N)."""
+        return float(self.forces[:, 0].max())
 
     @property
     def duration(self) -> float:
@@ -118,7 +124,8 @@ class TraceRecorder(EpisodeCallback):
         """Discard the records of the last episode."""
         self._robot: list[npt.NDArray[np.float32]] = []
         self._hand: list[npt.NDArray[np.float32] | None] = []
-        self._max_object_force, self._object_impulse = 0.0, 0.0
+        self._forces: list[tuple[float, float]] = []
+        self._object_impulse = 0.0
         self._contact_step: int | None = None
         self._hand_forces: list[float] = []
         self._sample(episode)
@@ -126,7 +133,7 @@ class TraceRecorder(EpisodeCallback):
     def on_step(self, episode: "Episode") -> None:
         """Record contacts in every step, and joint positions of robot and human hand every `SAMPLE_STEPS` steps."""
         contacts = episode.contacts
-        self._max_object_force = max(self._max_object_force, contacts.robot_object_force)
+        self._forces.append((contacts.robot_object_force, contacts.robot_hand_force))
         if contacts.robot_touches_object:
             if self._contact_step is None:
                 self._contact_step = episode.steps
@@ -163,13 +170,16 @@ class TraceRecorder(EpisodeCallback):
             min_margin = monitor.compute_min_margin(*motion, protective[has_hand])
             if self._hand_forces:
                 min_margin = min(min_margin, -float(protective[-1]))
+        forces, steps = np.zeros((n_samples, 2)), np.arange(len(self._forces))
+        rows = np.minimum(steps // SAMPLE_STEPS + 1, n_samples - 1)
+        np.maximum.at(forces, rows, np.reshape(self._forces, (-1, 2)))
         self.trace = EpisodeTrace(
             gripper=gripper[:n_samples],
             fingers=robot[:n_samples, 7:],
             wrist=wrist[:n_samples],
             steps=episode.steps,
             release_step=episode.release_step,
-            max_object_force=self._max_object_force,
+            forces=forces,
             min_distance=min_distance,
             max_hand_force=max(self._hand_forces, default=None),
             hand_impulse=sum(self._hand_forces) * TIME_STEP if self._hand_forces else None,

@@ -56,12 +56,11 @@ from handover_marl.evaluation.results import (
     read_episode_file,
     read_results,
 )
-from handover_marl.execution.files import write_atomically
+from handover_marl.execution.files import render_template, write_atomically
 from handover_marl.execution.options import check_path
 from handover_marl.geometry.panda import PANDA
 from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES, SUBJECTS
 from handover_marl.version import __version__
-from handover_marl.visualization.web_page import render_page
 
 # Data sets with the scene numbers of DexYCB.
 _OFFICIAL_SCENES = ("dexycb", "synthetic")
@@ -163,12 +162,9 @@ class Report(TabularResult):
 
     @property
     def extent(self) -> str:
-        """Number of evaluated scenes as text: "all 144 scenes", or "9 of 144 scenes (partial, shard 3/16)"."""
+        """Number of evaluated scenes as text: "all 144 scenes", or "9 of 144 scenes (partial)"."""
         n = len(self.episodes)
-        shard = self.metadata.shard.partition(" ")[0]
-        if self.is_partial or shard:
-            return f"{n} of {self.metadata.split_size} scenes (partial{f', shard {shard}' if shard else ''})"
-        return f"all {n} scenes"
+        return f"{n} of {self.metadata.split_size} scenes (partial)" if self.is_partial else f"all {n} scenes"
 
     def format_notes(self) -> str:
         """Return notes on the definitions and restrictions that a reader of the tables needs, one per line."""
@@ -333,8 +329,10 @@ def render_report_page(report: Report, replays: Mapping[int, str] | None = None)
     official, objects, fluency = report.build_tables()
     settings = {key.replace("_", " "): value for key, value in asdict(metadata).items() if value}
     settings |= {"data": report.data_label, "n episodes": report.extent, "machine": report.machine_label}
-    return render_page(
+    return render_template(
+        "handover_marl.visualization",
         "report.html",
+        escape=True,
         version=__version__,
         title=f"{metadata.receiver} on {metadata.setup} {metadata.split}",
         report=report,

@@ -21,6 +21,7 @@ from handover_marl.evaluation.strangers.report import (
     OTHER_AGENT,
     StrangersReport,
     list_differences,
+    make_report,
     read_entry,
     read_report,
 )
@@ -85,7 +86,7 @@ def strangers(
         raise OptionError("pass exactly one of receiver and giver; the population has partners for both")
     agent = "receiver" if giver is None else "giver"
     found = load_population(population, execution.trust)
-    chosen = found.select(OTHER_AGENT[agent], partners)
+    others = [found.get_policy(partner) for partner in found.select(OTHER_AGENT[agent], partners)]
     dataset = config.open_dataset()
     if config.scenes is None:
         scenes = dataset.list_scenes(dataset.resolve_setup(config.setup), config.split)
@@ -101,16 +102,9 @@ def strangers(
     trainings = resolve_policies(agent, policies, dataset, config, execution.trust)
     if len({policy.code_hash for policy in trainings}) < len(trainings):
         raise OptionError(f"{agent} must name different policies, got two with the same code and weights; drop one")
-    others = [found.get_policy(partner) for partner in chosen]
     givers, receivers = (trainings, others) if agent == "giver" else (others, trainings)
     result = crossplay(givers, receivers, config, execution=execution)
-    names, labels = (result.givers, result.receivers) if agent == "giver" else (result.receivers, result.givers)
-    reports = {
-        (name, partner.name): result.reports[(name, label) if agent == "giver" else (label, name)]
-        for name in names
-        for partner, label in zip(chosen, labels, strict=True)
-    }
-    report = StrangersReport(found.label, partners, agent, names, chosen, reports)
+    report = make_report(result, found, partners, agent)
     if folder is not None:
         report.write(folder)
     return report

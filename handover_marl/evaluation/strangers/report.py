@@ -1,6 +1,6 @@
 """Report of an evaluation with unseen partners, and its output folder.
 
-In an output folder, `strangers.json` lists the pairs of policies, which have official result folders.
+An output folder is one of `crossplay`, with the population and the agent of the evaluated policies in `strangers.json`.
 """
 
 import functools
@@ -9,15 +9,13 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError, ResultsError
-from handover_marl.evaluation.crossplay import format_pair_folder
-from handover_marl.evaluation.metadata import OFFICIAL_WORLD
+from handover_marl.evaluation.crossplay import CrossPlay, PolicyPair, format_pair_folder, read_pairs
 from handover_marl.evaluation.reports.episode_tables import estimate_fluency
 from handover_marl.evaluation.reports.report import Report, load_report
 from handover_marl.evaluation.reports.tables import (
@@ -45,8 +43,9 @@ from handover_marl.policies.populations import Partner, Population
 
 Array = npt.NDArray[np.float64]
 ENTRY_FILE, TABLES_FILE = "strangers.json", "strangers.md"
-_MAX_BYTES = 10_000_000
-_CONDITION = ("dataset", "setup", "split", "physics", "seed", "version")
+_CONDITION = ("dataset", "setup", "split", "physics", "seed", "world", "version")
+_ENTRY = ("population", "partner_split", "agent")
+_MAX_BYTES = 1_000_000
 #: Agent of the partners, by the agent of the evaluated policies.
 OTHER_AGENT = {"receiver": "giver", "giver": "receiver"}
 _PARTNER_METRICS = ("max_robot_hand_force", "max_robot_object_force", "human_idle")
@@ -192,13 +191,9 @@ class StrangersReport(TabularResult):
         return ReportTable([*header, *(column.title for column in _METRIC_COLUMNS), N_EPISODES.title], rows, n_keys=2)
 
     def write(self, folder: Path) -> None:
-        """Write `strangers.json`, which names each pair's result folder, and the tables `strangers.md` to a folder."""
-        folders: dict[str, dict[str, str]] = {policy: {} for policy in self.policies}
-        for (policy, partner), pair in self.reports.items():
-            folders[policy][partner] = format_pair_folder((pair.metadata.giver, pair.metadata.receiver))
-        names = ("population", "partner_split", "agent")
-        content = {**{name: getattr(self, name) for name in names}, "folders": folders}
-        write_atomically(folder / ENTRY_FILE, json.dumps(content, indent=1) + "\n")
+        """Write population and agent (`strangers.json`) and the tables (`strangers.md`) to an output folder."""
+        entry = {name: getattr(self, name) for name in _ENTRY}
+        write_atomically(folder / ENTRY_FILE, json.dumps(entry, indent=1) + "\n")
         write_atomically(folder / TABLES_FILE, f"# Strangers\n\n{self}\n")
 
 
@@ -219,24 +214,35 @@ def list_differences(first: Mapping[str, object], second: Mapping[str, object]) 
     return [name for name, value in first.items() if value != second[name]]
 
 
-def read_entry(folder: Path) -> dict[str, Any]:
-    """Return the content of a folder's `strangers.json`: texts `population`, `partner_split`, `agent`, and `folders`.
+def make_report(crossplay: CrossPlay, population: Population, partners: str, agent: str) -> StrangersReport:
+    """Make the report of the policies of one agent, given their cross-play with a population's partners."""
+    chosen, is_giver = population.select(OTHER_AGENT[agent], partners), agent == "giver"
+    names, labels = crossplay.givers, crossplay.receivers
+    if not is_giver:
+        names, labels = labels, names
+    if len(labels) != len(chosen):
+        raise ResultsError(f"the evaluation must have the {len(chosen)} partners of {partners!r}, got {len(labels)}")
+    reports = {
+        (name, partner.name): crossplay.reports[(name, label) if is_giver else (label, name)]
+        for name in names
+        for partner, label in zip(chosen, labels, strict=True)
+    }
+    return StrangersReport(population.label, partners, agent, names, chosen, reports)
 
-    `folders[policy][partner]` is the name of the result folder of a pair.
-    """
+
+def read_entry(folder: Path) -> dict[str, str]:
+    """Return the texts `population`, `partner_split` and `agent` in the `strangers.json` of an output folder."""
     path = folder / ENTRY_FILE
     try:
-        entry: dict[str, Any] = json.loads(read_plain_file(path, _MAX_BYTES))
-        names = [str(name) for partners in entry["folders"].values() for name in partners.values()]
-        if not names or {"population", "partner_split", "agent"} - entry.keys() or entry["agent"] not in OTHER_AGENT:
-            raise ValueError("it must have a population, an agent and folders")
-        if any(Path(name).name != name for name in names):
-            raise ValueError("folders must be names of folders beside strangers.json")
+        content = json.loads(read_plain_file(path, _MAX_BYTES))
+        entry = {key: str(content[key]) for key in _ENTRY}
+        if entry["agent"] not in OTHER_AGENT:
+            raise ValueError(f"agent must be one of {', '.join(OTHER_AGENT)}")
     except FileNotFoundError as error:
         raise ResultsError(
             f"{path} does not exist: the evaluation is not finished; run the same command to resume"
         ) from error
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise ResultsError(f"{path}: not a readable evaluation with strangers ({shorten_text(error)})") from error
     return entry
 
@@ -244,25 +250,23 @@ def read_entry(folder: Path) -> dict[str, Any]:
 def read_report(folder: Path, population: Population) -> StrangersReport:
     """Compute the report of an output folder of `strangers` from the stored results of its episodes."""
     entry = read_entry(folder)
-    agent, split = entry["agent"], entry["partner_split"]
     if entry["population"] != population.label:
         raise OptionError(
             f"{folder} must be of population {population.label}, got {entry['population']}; pass the population's file"
         )
-    partners = population.select(OTHER_AGENT[agent], split)
-    reports: dict[tuple[str, str], Report] = {}
-    for policy, folders in entry["folders"].items():
-        if [*folders] != [partner.name for partner in partners]:
-            raise ResultsError(f"{folder} must have the partners of {split!r}, got others; evaluate again")
-        for partner, name in folders.items():
-            report = reports[policy, partner] = load_report(folder / name)
-            first, metadata = next(iter(reports.values())), report.metadata
-            differences = list_differences(describe_condition(report), describe_condition(first))
-            differences += [] if getattr(metadata, agent) == policy else [f"label {policy!r}"]
-            differences += [] if metadata.world == OFFICIAL_WORLD else ["official rules"]
-            if differences:
-                raise ResultsError(
-                    f"{folder / name} must have the {' and '.join(differences)} of the other pairs; run the same "
-                    "command to resume"
-                )
-    return StrangersReport(entry["population"], split, agent, tuple(entry["folders"]), partners, reports)
+    return make_report(_load_crossplay(folder), population, entry["partner_split"], entry["agent"])
+
+
+def _load_crossplay(folder: Path) -> CrossPlay:
+    """Compute the cross-play of an output folder from the stored results of its pairs."""
+    reports: dict[PolicyPair, Report] = {}
+    for pair in read_pairs(folder):
+        report = reports[pair] = load_report(folder / format_pair_folder(pair))
+        differences = list_differences(*map(describe_condition, (report, next(iter(reports.values())))))
+        differences += [] if (report.metadata.giver, report.metadata.receiver) == pair else [f"labels {pair}"]
+        if differences:
+            raise ResultsError(
+                f"{folder / format_pair_folder(pair)} must have the {' and '.join(differences)} of the other pairs; "
+                "run the same command to resume"
+            )
+    return CrossPlay(reports)

@@ -1,4 +1,4 @@
-"""Reader of URDF models: shapes, masses, friction and joint limits of links; writer from Jinja templates."""
+"""Reader of URDF models: shapes, masses, friction and joint limits of links."""
 
 import functools
 import os
@@ -7,7 +7,6 @@ import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -181,18 +180,3 @@ def _parse_numbers(text: str, count: int) -> tuple[float, ...]:
 def _read_color(material: ET.Element) -> Color | None:
     color = material.find("color")
     return None if color is None else _parse_numbers(color.attrib["rgba"], 4)
-
-
-def render_urdf(package: str, template: str, **content: Any) -> str:
-    """Render a Jinja template, a file in `templates/` of a package, to the text of a URDF, with variables `content`."""
-    # Imported here: simulations read URDF files, but write none.
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    environment = Environment(
-        loader=PackageLoader(package),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-    return environment.get_template(template).render(**content)

@@ -146,16 +146,18 @@ def test_incomplete_folders_are_refused(population: Path, evaluated: Path, tmp_p
     check(OptionError, "must be of population", evaluated, population=write_population(tmp_path, version="2.0"))
     check(ResultsError, "is not finished", tmp_path)
     content = json.loads((out / "strangers.json").read_text())
-    for name in content["folders"]["hold"].values():
-        next((second / name).glob("*.npz")).unlink()
+    pairs = [path.parent for path in sorted(second.glob("*/config.yaml"))]
+    for pair in pairs:
+        next(pair.glob("*.npz")).unlink()
     names = ["one", "other"]
     check(ResultsError, "must have the data and scenes of the other folders", evaluated, second, names=names)
-    next((out / content["folders"]["hold"]["fast"]).glob("*.npz")).unlink()
+    next((out / pairs[1].name).glob("*.npz")).unlink()
     check(ResultsError, "must have the scenes and data of the other pairs", out)
-    for folders, message in (
-        ({"slow": "x"}, "must have the partners of 'test', got others"),
-        ({"fast": "../other", "slow": "x"}, "not a readable evaluation"),
-        ({"fast": "x", "slow": "x"}, "does not exist"),
+    shutil.rmtree(out / pairs[1].name)
+    check(ResultsError, "does not exist", out)
+    for change, message in (
+        ({"partner_split": "train"}, "must have the 1 partners of 'train', got 2"),
+        ({"agent": "other"}, "not a readable evaluation"),
     ):
-        (out / "strangers.json").write_text(json.dumps(content | {"folders": {"hold": folders}}))
-        check(ResultsError, message, out)
+        (second / "strangers.json").write_text(json.dumps(content | change))
+        check(ResultsError, message, second)
