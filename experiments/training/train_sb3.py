@@ -17,6 +17,7 @@ import math
 import sys
 import time
 import zipfile
+from collections import defaultdict
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -29,7 +30,7 @@ from stable_baselines3.common.vec_env import VecMonitor
 
 from handover_marl.envs.custom_rewards import set_discount
 from handover_marl.envs.vector.vector_env import vector_env
-from handover_marl.envs.wrappers.wrapper import RETURN_PREFIX, EpisodeReturns
+from handover_marl.envs.wrappers.wrapper import REWARD_PREFIX
 from handover_marl.execution.options import count_available_cores
 from handover_marl.learning.adapters.sb3_models import dense_network_from_sb3
 from handover_marl.learning.custom_encodings import is_reference
@@ -136,7 +137,6 @@ def _make_ppo(args: Args) -> tuple[PPO, VecMonitor]:
         args.partner,
         features=args.features,
         action_scheme=args.action_scheme,
-        wrappers=[EpisodeReturns],
         autoreset="same_step",
         processes=min(args.num_envs, count_available_cores()),
         rewards=set_discount(args.rewards, args.discount),
@@ -179,12 +179,15 @@ class EvaluationCallback(BaseCallback):
 
     def _on_training_start(self) -> None:
         self._next = self.num_timesteps + self._args.eval_interval
+        self._sums: list[dict[str, float]] = [defaultdict(float) for _ in range(self._args.num_envs)]
 
     def _on_step(self) -> bool:
-        for info, is_last in zip(self.locals["infos"], self.locals["dones"], strict=True):
-            for key, value in info.items() if is_last else ():
-                if key.startswith(RETURN_PREFIX):
-                    self.logger.record_mean(f"rewards/{key[len(RETURN_PREFIX) :]}", float(value))
+        for sums, info, has_ended in zip(self._sums, self.locals["infos"], self.locals["dones"], strict=True):
+            for key in info:
+                if key.startswith(REWARD_PREFIX):
+                    sums[key] += float(info[key])
+            for key in list(sums) if has_ended else ():
+                self.logger.record_mean(f"rewards/{key[len(REWARD_PREFIX) :]}", sums.pop(key))
         return time.monotonic() - self._started < 60.0 * self._args.minutes
 
     def _on_rollout_start(self) -> None:
