@@ -26,10 +26,9 @@ from handover_marl.episode.warp_sensors import WarpSensors
 from handover_marl.geometry.arrays import AnyArray, AnyIndices, Indices, to_numpy
 from handover_marl.learning.action_scheme import ArrayScheme
 from handover_marl.learning.array_features import ArrayFeatures
-from handover_marl.learning.features import make_array_features
+from handover_marl.learning.encodings import make_array_features, make_array_scheme
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
 from handover_marl.learning.policy_spec import OBSERVATION
-from handover_marl.learning.schemes import make_array_scheme
 from handover_marl.policies.batch import PolicyBatch
 from handover_marl.simulation.engines import BatchBackend
 
