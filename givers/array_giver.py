@@ -105,3 +105,9 @@ class ArrayGiver(Giver):
 def compute_gripper_object_distances(observation: Observation) -> AnyArray:
     """Return the distances (r,) from the Panda's hand link to the target object's origin (m), float64."""
     return widen(compute_lengths(observation["gripper_pose"][:, :3] - observation["object_poses"][:, 0, :3]))
+
+
+def compute_withdrawals(observation: Observation, distance: float | AnyArray) -> AnyArray:
+    """Return displacements (r, 3) of the hands away from the gripper by a distance (m), one for all or (r, 1)."""
+    away = observation["hand_keypoints"][:, 0] - observation["gripper_pose"][:, :3]
+    return distance * away / compute_lengths(away).clip(1e-6)[:, None]
