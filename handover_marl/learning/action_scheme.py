@@ -14,10 +14,9 @@ import numpy.typing as npt
 from handover_marl.episode.observations import Observation, add_episode_axis
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ONLY_ROW, AnyArray, ArrayFactory
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
-from handover_marl.policies.policy import PolicyContext
+from handover_marl.policies.policy import Action, PolicyContext
 
 Outputs = npt.NDArray[np.floating]
-Action = npt.NDArray[np.float32]
 
 
 class ActionScheme(ABC):
