@@ -104,9 +104,8 @@ def main(args: Args) -> Path:
     # `module:name` may be in the working folder, which Python does not search when it runs a script.
     sys.path.append(str(Path.cwd()))
     parse_policy("giver" if args.agent == "receiver" else "receiver", args.partner)
-    # Both check arguments, so that the folder is made only for a run that can start.
+    # This checks arguments, so that the folder is made only for a run that can start.
     model, envs = _make_ppo(args)
-    callback = EvaluationCallback(args)
     folder = open_run_folder(Path(args.out), args, args.resume, args.open_dataset().name)
     checkpoint = folder / _CHECKPOINT
     if args.resume and checkpoint.exists():
@@ -122,9 +121,13 @@ def main(args: Args) -> Path:
     suffix = f"_{model.num_timesteps}" if model.num_timesteps else ""
     formats = [make_output_format("csv", str(folder), suffix)]
     model.set_logger(Logger(str(folder), [*formats, make_output_format("tensorboard", str(folder / "tensorboard"))]))
-    remaining = max(0, args.decisions - model.num_timesteps)
-    model.learn(remaining, callback, reset_num_timesteps=False, progress_bar=True, log_interval=1)
-    callback.evaluate()
+    deadline = time.monotonic() + 60.0 * args.minutes
+    callback = TermsCallback(args.num_envs, deadline)
+    while model.num_timesteps < args.decisions and time.monotonic() < deadline:
+        # Environments go on where the last part of the training has left them.
+        decisions = min(args.eval_interval, args.decisions - model.num_timesteps)
+        model.learn(decisions, callback, reset_num_timesteps=False, progress_bar=True, log_interval=1)
+        evaluate(model, args)
     envs.close()
     return folder / POLICY
 
@@ -161,25 +164,18 @@ def _make_ppo(args: Args) -> tuple[PPO, VecMonitor]:
     return model, monitored
 
 
-class EvaluationCallback(BaseCallback):
-    """Callback that logs reward terms, evaluates the policy, writes checkpoints and stops when time is up.
-
-    Evaluations happen between rollouts, every `args.eval_interval` decisions. A resumed run has new environments with
-    seeds of their own, so that its episodes differ from those of a run without an interruption.
+class TermsCallback(BaseCallback):
+    """Callback that logs the sum of each reward term over the episodes, and stops when time is up.
 
     Args:
-        args: Arguments of the training, with a setup.
+        num_envs: Number of environments.
+        deadline: Monotonic time at which the training stops (s).
     """
 
-    def __init__(self, args: Args) -> None:
+    def __init__(self, num_envs: int, deadline: float) -> None:
         super().__init__()
-        self._args, self._folder, self._next, self._started = args, Path(args.out), 0, time.monotonic()
-        origin = describe_origin("train_sb3", args)
-        self._spec = PolicySpec(args.agent, args.features, args.action_scheme, args.control_period, origin)
-
-    def _on_training_start(self) -> None:
-        self._next = self.num_timesteps + self._args.eval_interval
-        self._sums: list[dict[str, float]] = [defaultdict(float) for _ in range(self._args.num_envs)]
+        self._deadline = deadline
+        self._sums: list[dict[str, float]] = [defaultdict(float) for _ in range(num_envs)]
 
     def _on_step(self) -> bool:
         for sums, info, has_ended in zip(self._sums, self.locals["infos"], self.locals["dones"], strict=True):
@@ -188,28 +184,26 @@ class EvaluationCallback(BaseCallback):
                     sums[key] += float(info[key])
             for key in list(sums) if has_ended else ():
                 self.logger.record_mean(f"rewards/{key[len(REWARD_PREFIX) :]}", sums.pop(key))
-        return time.monotonic() - self._started < 60.0 * self._args.minutes
+        return time.monotonic() < self._deadline
 
-    def _on_rollout_start(self) -> None:
-        if self.num_timesteps >= self._next:
-            self._next = self.num_timesteps + self._args.eval_interval
-            self.evaluate()
 
-    def evaluate(self) -> None:
-        """Write the policy file, evaluate it on validation scenes, log and print the outcomes, write a checkpoint."""
-        args, policy = self._args, self._folder / POLICY
-        write_policy(policy, self._spec, dense_network_from_sb3(self.model))
-        # User-defined features and schemes were named by the caller, so they may be imported.
-        trust = is_reference(args.features) or is_reference(args.action_scheme)
-        learned, label = f"learned:{policy}", f"{self.num_timesteps} decisions"
-        giver, receiver = (args.partner, learned) if args.agent == "receiver" else (learned, args.partner)
-        report = validate(args, args.val_scenes, giver, receiver, label, physics=args.physics, trust=trust)
-        for name, rate in report.rates.items():
-            self.logger.record(f"evaluation/{name}", rate.mean)
-        self.logger.dump(self.num_timesteps)
-        part = self._folder / f"part_{_CHECKPOINT}"
-        self.model.save(part)
-        part.replace(self._folder / _CHECKPOINT)
+def evaluate(model: PPO, args: Args) -> None:
+    """Write the policy file, evaluate it on validation scenes, log and print the outcomes, write a checkpoint."""
+    folder = Path(args.out)
+    policy, part = folder / POLICY, folder / f"part_{_CHECKPOINT}"
+    origin = describe_origin("train_sb3", args)
+    spec = PolicySpec(args.agent, args.features, args.action_scheme, args.control_period, origin)
+    write_policy(policy, spec, dense_network_from_sb3(model))
+    # User-defined features and schemes were named by the caller, so they may be imported.
+    trust = is_reference(args.features) or is_reference(args.action_scheme)
+    learned, label = f"learned:{policy}", f"{model.num_timesteps} decisions"
+    giver, receiver = (args.partner, learned) if args.agent == "receiver" else (learned, args.partner)
+    report = validate(args, args.val_scenes, giver, receiver, label, physics=args.physics, trust=trust)
+    for name, rate in report.rates.items():
+        model.logger.record(f"evaluation/{name}", rate.mean)
+    model.logger.dump(model.num_timesteps)
+    model.save(part)
+    part.replace(folder / _CHECKPOINT)
 
 
 if __name__ == "__main__":
