@@ -19,6 +19,11 @@ def compute_lengths(vectors: AnyArray) -> AnyArray:
     return get_namespace(vectors).sqrt(compute_dot_products(vectors, vectors))
 
 
+def limit_lengths(vectors: AnyArray, length: float) -> AnyArray:
+    """Return vectors (..., k), shortened to a length where they are longer."""
+    return vectors * (length / compute_lengths(vectors).clip(length))[..., None]
+
+
 def compute_cross_products(left: npt.ArrayLike, right: npt.ArrayLike) -> npt.NDArray[np.float64]:
     """Compute the cross products (..., 3) of vectors (..., 3), each equal to `np.cross` to the bit."""
     a, b = np.asarray(left), np.asarray(right)
