@@ -1,7 +1,5 @@
 """Base class of the library's givers, which act in one episode or in many, on arrays with the episode as first axis."""
 
-import copy
-from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar
@@ -9,13 +7,12 @@ from typing import Any, ClassVar
 import numpy as np
 
 from handover_marl.config import CheckedConfig
-from handover_marl.episode.loop import steps_from_hold_time
-from handover_marl.episode.observations import Observation, add_episode_axis
+from handover_marl.episode.observations import Observation
 from handover_marl.errors import OptionError
-from handover_marl.geometry.arrays import NUMPY_ARRAYS, ONLY_ROW, AnyArray, AnyIndices, ArrayFactory, widen
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, ArrayFactory, widen
 from handover_marl.geometry.vectors import compute_lengths
-from handover_marl.policies.batch import Actions, make_giver_actions
-from handover_marl.policies.policy import Action, Giver, PolicyContext
+from handover_marl.policies.batch import Actions, ArrayPolicy, make_giver_actions
+from handover_marl.policies.policy import Giver, PolicyContext
 
 _PAUSE = -1.0  # playback rate minus 1
 
@@ -25,12 +22,10 @@ class NoConfig(CheckedConfig):
     """Configuration of a giver without options."""
 
 
-class ArrayGiver(Giver):
+class ArrayGiver(ArrayPolicy, Giver):
     """Base class of givers whose state is in arrays (n, ...), with one row for each of the n episodes they act in.
 
-    Subclasses define `decide`, `initial_state` if they keep a state, and `start` if they draw a part of it. Actions do
-    not depend on the other episodes. Arrays are NumPy arrays or PyTorch tensors. The argument `rows` (r,) of methods
-    has the indices of the episodes to which a method applies; observations and actions have one row for each of them.
+    Subclasses define `decide`, `initial_state` if they keep a state, and `start` if they draw a part of it.
 
     Args:
         context: Robot and task.
@@ -70,29 +65,6 @@ class ArrayGiver(Giver):
         for name, value in self.initial_state.items():
             self.state[name][row] = self.arrays.asarray(value)
 
-    @abstractmethod
-    def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return the giver's actions (r, 8) in the episodes `rows`, given its observations (r, ...)."""
-
-    def count_hold_steps(self, rows: AnyIndices) -> int:
-        """Return the number of physics steps for which actions are held, the same in all episodes."""
-        return steps_from_hold_time(self.hold_time)
-
-    def reset(self, seed: int | None = None) -> None:
-        """Start an episode of a giver that acts in a single one; the seed determines its random numbers."""
-        self.start(0, seed)
-
-    def act(self, observation: Observation) -> Action:
-        """Return the action (8,) in a single episode; `decide` is for several."""
-        action: Action = self.decide(ONLY_ROW, add_episode_axis(observation))[0]
-        return action
-
-    def copy_for(self, count: int, arrays: ArrayFactory) -> "ArrayGiver":
-        """Return a giver with the same options for `count` episodes, with its state in arrays that `arrays` creates."""
-        giver = copy.copy(self)
-        giver.allocate(count, arrays)
-        return giver
-
     def make_actions(self, rows: AnyIndices, **components: float | AnyArray) -> Actions:
         """Make actions (r, 8) in the episodes `rows` from their `rate` and so on, see `make_giver_actions`."""
         return make_giver_actions(len(rows), arrays=self.arrays, **components)
@@ -105,3 +77,9 @@ class ArrayGiver(Giver):
 def compute_gripper_object_distances(observation: Observation) -> AnyArray:
     """Return the distances (r,) from the Panda's hand link to the target object's origin (m), float64."""
     return widen(compute_lengths(observation["gripper_pose"][:, :3] - observation["object_poses"][:, 0, :3]))
+
+
+def compute_withdrawals(observation: Observation, distance: float | AnyArray) -> AnyArray:
+    """Return displacements (r, 3) of the hands away from the gripper by a distance (m), one for all or (r, 1)."""
+    away = observation["hand_keypoints"][:, 0] - observation["gripper_pose"][:, :3]
+    return distance * away / compute_lengths(away).clip(1e-6)[:, None]

@@ -13,7 +13,7 @@ from handover_marl.geometry.panda import FINGERTIPS
 from handover_marl.geometry.poses import transform_points
 from handover_marl.geometry.rotations import quaternions_from_rotation_vectors, rotate_points
 from handover_marl.geometry.vectors import compute_dot_products, compute_lengths
-from handover_marl.givers.array_giver import ArrayGiver, compute_gripper_object_distances
+from handover_marl.givers.array_giver import ArrayGiver, compute_gripper_object_distances, compute_withdrawals
 from handover_marl.policies.batch import Actions
 
 
@@ -189,8 +189,7 @@ class CooperativeGiver(ArrayGiver):
 
     def _withdraw(self, rows: AnyIndices, begins: AnyArray, shift: AnyArray, observation: Observation) -> None:
         """Set the final displacement of hands that begin to withdraw, where `begins` (r,): from `shift` (r, 3) away."""
-        away = observation["hand_keypoints"][:, 0] - observation["gripper_pose"][:, :3]
-        withdrawal = shift + self.config.withdrawal * away / compute_lengths(away).clip(1e-6)[:, None]
+        withdrawal = shift + compute_withdrawals(observation, self.config.withdrawal)
         withdrawn = self.state["withdrawal"]
         withdrawn[rows] = self.arrays.xp.where(begins[:, None], withdrawal, withdrawn[rows])
         self.state["is_withdrawn"][rows] |= begins
@@ -256,7 +255,7 @@ class WithdrawingGiver(ArrayGiver):
         is_present = observation["hand_present"][:, 0] != 0.0
         withdraws = is_present & (distance < config.max_distance) & (speed > config.max_speed)
         until = xp.where(withdraws, now + config.return_after, state["until"][rows])
-        withdrawal = config.withdrawal * away / compute_lengths(away).clip(1e-6)[:, None]
+        withdrawal = compute_withdrawals(observation, config.withdrawal)
         displacement = xp.where(withdraws[:, None], withdrawal, state["displacement"][rows])
         state["until"][rows], state["displacement"][rows] = until, displacement
         return self.make_actions(rows, displacement=xp.where((now < until)[:, None], displacement, 0.0))

@@ -5,7 +5,6 @@ last and from a preferred pose. It moves to the best reachable standoff, from th
 fingers and carries the object to the goal. The receiver uses the object's true pose and ignores the person's hand.
 """
 
-import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum, auto
@@ -15,16 +14,24 @@ import numpy.typing as npt
 
 from handover_marl.config import ARM_DOF, CheckedConfig, bounded, check_config
 from handover_marl.episode.loop import steps_from_hold_time
-from handover_marl.episode.observations import Observation, add_episode_axis
+from handover_marl.episode.observations import Observation
 from handover_marl.geometry import panda
 from handover_marl.geometry.arm import IkSolver
-from handover_marl.geometry.arrays import ONLY_ROW, AnyIntegers, Indices
+from handover_marl.geometry.arrays import (
+    NUMPY_ARRAYS,
+    ONLY_ROW,
+    AnyIndices,
+    AnyIntegers,
+    ArrayFactory,
+    Indices,
+    to_numpy,
+)
 from handover_marl.geometry.poses import compose, compute_pose_distances
 from handover_marl.geometry.rotations import compute_rotation_angles
 from handover_marl.geometry.vectors import compute_dot_products, compute_lengths
 from handover_marl.planning.ik_solvers import ThreadIkSolver
+from handover_marl.policies.batch import Actions, ArrayPolicy
 from handover_marl.policies.policy import (
-    Action,
     PolicyContext,
     Receiver,
     milliseconds_from_wait,
@@ -34,7 +41,6 @@ from handover_marl.policies.policy import (
 from handover_marl.receivers.grasp_library import GraspTable, load_gripper_poses
 
 Array = npt.NDArray[np.float64]
-Actions = npt.NDArray[np.float32]
 Flags = npt.NDArray[np.bool_]
 
 
@@ -86,13 +92,11 @@ class YangPhase(IntEnum):
     RETREAT = auto()
 
 
-class Yang2021Receiver(Receiver):
+class Yang2021Receiver(ArrayPolicy, Receiver):
     """Receiver `yang2021`, the reactive baseline of Yang et al. (2021).
 
     The receiver decides every 0.1 s during the approach, every millisecond while the fingers close (the target is then
-    the present configuration), and once afterwards. Its state is in arrays (n, ...), one row for
-    each episode; a receiver by itself has one. The argument `rows` (r,) of methods contains the indices of the episodes
-    to which a method applies; their observations are arrays (r, ...).
+    the present configuration), and once afterwards. It computes in NumPy arrays, also for episodes in tensors.
 
     Args:
         context: The robot, the task, the objects and their grasps.
@@ -119,15 +123,11 @@ class Yang2021Receiver(Receiver):
             self.config = replace(self.config, wait=milliseconds_from_wait(wait) / 1000.0)
         self._ik_solver: IkSolver | None = None
         self._table = GraspTable(self._load_grippers)
-        self._allocate(1)
+        self.allocate(1, NUMPY_ARRAYS)
 
-    def copy_for(self, count: int) -> "Yang2021Receiver":
-        """Return a receiver with the same options for `count` episodes."""
-        receiver = copy.copy(self)
-        receiver._allocate(count)
-        return receiver
-
-    def _allocate(self, count: int) -> None:
+    def allocate(self, count: int, arrays: ArrayFactory) -> None:
+        """Create the state of `count` episodes, in NumPy arrays; `arrays` creates the arrays of actions."""
+        self._arrays = arrays
         self.phase, self._close_until = np.full(count, int(YangPhase.WAIT)), np.zeros(count)
         self.selected = np.full((count, 2, 7), np.nan)
         # Last selected standoffs, near which the next ones have a low cost; nan if there is none.
@@ -141,10 +141,6 @@ class Yang2021Receiver(Receiver):
     def _load_grippers(self, object_class: int) -> tuple[Array] | None:
         grippers = load_gripper_poses(self.context.load_grasps, self.context.object_names[object_class])
         return None if grippers is None else (grippers,)
-
-    def reset(self, seed: int | None = None) -> None:
-        """Start an episode; the receiver is deterministic."""
-        self.start(0, seed)
 
     @property
     def wait(self) -> float:
@@ -162,11 +158,6 @@ class Yang2021Receiver(Receiver):
         """Time until the next decision (s), infinite during the retreat."""
         return float(self.get_hold_times(ONLY_ROW)[0])
 
-    def act(self, observation: Observation) -> Action:
-        """Return target joint positions (9,): arm (rad), fingers (m)."""
-        action: Action = self.decide(ONLY_ROW, add_episode_axis(observation))[0]
-        return action
-
     def start(self, row: int, seed: int | None) -> None:
         """Start the episode with index `row`; `seed` is ignored, since the receiver is deterministic."""
         if self._ik_solver is None:
@@ -182,12 +173,14 @@ class Yang2021Receiver(Receiver):
         times = np.array([config.wait or config.decision_period, *periods, np.inf])
         return np.take(times, self.phase[rows] - YangPhase.WAIT)
 
-    def count_hold_steps(self, rows: Indices) -> AnyIntegers:
+    def count_hold_steps(self, rows: AnyIndices) -> AnyIntegers:
         """Return the numbers (r,) of physics steps until the next decisions in the episodes `rows`."""
-        return np.array([steps_from_hold_time(time) for time in self.get_hold_times(rows).tolist()])
+        times = self.get_hold_times(to_numpy(rows)).tolist()
+        return self._arrays.asarray([steps_from_hold_time(time) for time in times])
 
-    def decide(self, rows: Indices, observation: Observation) -> Actions:
+    def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
         """Return the next target joint positions (r, 9) (rad, m) in the episodes `rows`."""
+        rows, observation = to_numpy(rows), {key: to_numpy(values) for key, values in observation.items()}
         time, phase = np.round(observation["time"][:, 0].astype(np.float64), 3), self.phase[rows]
         waits = time < self.config.wait
         phase[~waits & (phase == YangPhase.WAIT)] = YangPhase.APPROACH
@@ -214,7 +207,7 @@ class Yang2021Receiver(Receiver):
         arms = np.where((phase == YangPhase.RETREAT)[:, None], self._goals[rows], arms)
         fingers = np.where(phase >= YangPhase.CLOSE, panda.CLOSED, panda.OPEN)[:, None]
         actions = np.concatenate([arms, fingers, fingers], axis=1)
-        return np.where(waits[:, None], panda.WAITING_JOINTS, actions).astype(np.float32)
+        return self._arrays.asarray(np.where(waits[:, None], panda.WAITING_JOINTS, actions).astype(np.float32))
 
     def _find_places(self, rows: Indices, approaches: Flags, hands: npt.NDArray[np.float32]) -> tuple[Flags, Flags]:
         """Return whether hand links at poses (r, 7) are on the way from standoff to grasp, and at the grasp, (r,) each.

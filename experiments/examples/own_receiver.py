@@ -14,7 +14,7 @@ import tyro
 
 import handover_marl
 from handover_marl.cli.options import SceneNumbers
-from handover_marl.learning.schemes import make_scheme
+from handover_marl.learning.encodings import make_scheme
 from handover_marl.learning.training.scene_arguments import SetupArgs
 from handover_marl.receivers import PolicyContext, Receiver
 from handover_marl.testing import check_receiver

@@ -18,7 +18,7 @@ import handover_marl
 from handover_marl import EpisodeStatus
 from handover_marl.config import TIME_STEP, ProtocolConfig
 from handover_marl.evaluation.demonstrations.convert import describe_task
-from handover_marl.learning.schemes import make_scheme
+from handover_marl.learning.encodings import make_scheme
 
 
 class HandoverBenchmark(StepBenchmark):

@@ -28,12 +28,11 @@ from handover_marl.envs.vector.policy_batches import make_policy_batch
 from handover_marl.episode.observations import Observation
 from handover_marl.errors import OptionError
 from handover_marl.learning.action_scheme import InvertibleScheme
-from handover_marl.learning.features import make_array_features
+from handover_marl.learning.encodings import make_array_features, make_array_scheme
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
 from handover_marl.learning.imitation.samples import generate_samples, join_samples
 from handover_marl.learning.policy_files import read_policy, write_policy
 from handover_marl.learning.policy_spec import DenseNetwork, PolicySpec
-from handover_marl.learning.schemes import make_array_scheme
 from handover_marl.learning.training.run_folder import (
     POLICY,
     describe_origin,

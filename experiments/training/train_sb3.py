@@ -17,6 +17,7 @@ import math
 import sys
 import time
 import zipfile
+from collections import defaultdict
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -29,7 +30,7 @@ from stable_baselines3.common.vec_env import VecMonitor
 
 from handover_marl.envs.custom_rewards import set_discount
 from handover_marl.envs.vector.vector_env import vector_env
-from handover_marl.envs.wrappers.wrapper import RETURN_PREFIX, EpisodeReturns
+from handover_marl.envs.wrappers.wrapper import REWARD_PREFIX
 from handover_marl.execution.options import count_available_cores
 from handover_marl.learning.adapters.sb3_models import dense_network_from_sb3
 from handover_marl.learning.custom_encodings import is_reference
@@ -103,9 +104,8 @@ def main(args: Args) -> Path:
     # `module:name` may be in the working folder, which Python does not search when it runs a script.
     sys.path.append(str(Path.cwd()))
     parse_policy("giver" if args.agent == "receiver" else "receiver", args.partner)
-    # Both check arguments, so that the folder is made only for a run that can start.
+    # This checks arguments, so that the folder is made only for a run that can start.
     model, envs = _make_ppo(args)
-    callback = EvaluationCallback(args)
     folder = open_run_folder(Path(args.out), args, args.resume, args.open_dataset().name)
     checkpoint = folder / _CHECKPOINT
     if args.resume and checkpoint.exists():
@@ -121,9 +121,13 @@ def main(args: Args) -> Path:
     suffix = f"_{model.num_timesteps}" if model.num_timesteps else ""
     formats = [make_output_format("csv", str(folder), suffix)]
     model.set_logger(Logger(str(folder), [*formats, make_output_format("tensorboard", str(folder / "tensorboard"))]))
-    remaining = max(0, args.decisions - model.num_timesteps)
-    model.learn(remaining, callback, reset_num_timesteps=False, progress_bar=True, log_interval=1)
-    callback.evaluate()
+    deadline = time.monotonic() + 60.0 * args.minutes
+    callback = TermsCallback(args.num_envs, deadline)
+    while model.num_timesteps < args.decisions and time.monotonic() < deadline:
+        # Environments go on where the last part of the training has left them.
+        decisions = min(args.eval_interval, args.decisions - model.num_timesteps)
+        model.learn(decisions, callback, reset_num_timesteps=False, progress_bar=True, log_interval=1)
+        evaluate(model, args)
     envs.close()
     return folder / POLICY
 
@@ -136,7 +140,6 @@ def _make_ppo(args: Args) -> tuple[PPO, VecMonitor]:
         args.partner,
         features=args.features,
         action_scheme=args.action_scheme,
-        wrappers=[EpisodeReturns],
         autoreset="same_step",
         processes=min(args.num_envs, count_available_cores()),
         rewards=set_discount(args.rewards, args.discount),
@@ -161,52 +164,46 @@ def _make_ppo(args: Args) -> tuple[PPO, VecMonitor]:
     return model, monitored
 
 
-class EvaluationCallback(BaseCallback):
-    """Callback that logs reward terms, evaluates the policy, writes checkpoints and stops when time is up.
-
-    Evaluations happen between rollouts, every `args.eval_interval` decisions. A resumed run has new environments with
-    seeds of their own, so that its episodes differ from those of a run without an interruption.
+class TermsCallback(BaseCallback):
+    """Callback that logs the sum of each reward term over the episodes, and stops when time is up.
 
     Args:
-        args: Arguments of the training, with a setup.
+        num_envs: Number of environments.
+        deadline: Monotonic time at which the training stops (s).
     """
 
-    def __init__(self, args: Args) -> None:
+    def __init__(self, num_envs: int, deadline: float) -> None:
         super().__init__()
-        self._args, self._folder, self._next, self._started = args, Path(args.out), 0, time.monotonic()
-        origin = describe_origin("train_sb3", args)
-        self._spec = PolicySpec(args.agent, args.features, args.action_scheme, args.control_period, origin)
-
-    def _on_training_start(self) -> None:
-        self._next = self.num_timesteps + self._args.eval_interval
+        self._deadline = deadline
+        self._sums: list[dict[str, float]] = [defaultdict(float) for _ in range(num_envs)]
 
     def _on_step(self) -> bool:
-        for info, is_last in zip(self.locals["infos"], self.locals["dones"], strict=True):
-            for key, value in info.items() if is_last else ():
-                if key.startswith(RETURN_PREFIX):
-                    self.logger.record_mean(f"rewards/{key[len(RETURN_PREFIX) :]}", float(value))
-        return time.monotonic() - self._started < 60.0 * self._args.minutes
+        for sums, info, has_ended in zip(self._sums, self.locals["infos"], self.locals["dones"], strict=True):
+            for key in info:
+                if key.startswith(REWARD_PREFIX):
+                    sums[key] += float(info[key])
+            for key in list(sums) if has_ended else ():
+                self.logger.record_mean(f"rewards/{key[len(REWARD_PREFIX) :]}", sums.pop(key))
+        return time.monotonic() < self._deadline
 
-    def _on_rollout_start(self) -> None:
-        if self.num_timesteps >= self._next:
-            self._next = self.num_timesteps + self._args.eval_interval
-            self.evaluate()
 
-    def evaluate(self) -> None:
-        """Write the policy file, evaluate it on validation scenes, log and print the outcomes, write a checkpoint."""
-        args, policy = self._args, self._folder / POLICY
-        write_policy(policy, self._spec, dense_network_from_sb3(self.model))
-        # User-defined features and schemes were named by the caller, so they may be imported.
-        trust = is_reference(args.features) or is_reference(args.action_scheme)
-        learned, label = f"learned:{policy}", f"{self.num_timesteps} decisions"
-        giver, receiver = (args.partner, learned) if args.agent == "receiver" else (learned, args.partner)
-        report = validate(args, args.val_scenes, giver, receiver, label, physics=args.physics, trust=trust)
-        for name, rate in report.rates.items():
-            self.logger.record(f"evaluation/{name}", rate.mean)
-        self.logger.dump(self.num_timesteps)
-        part = self._folder / f"part_{_CHECKPOINT}"
-        self.model.save(part)
-        part.replace(self._folder / _CHECKPOINT)
+def evaluate(model: PPO, args: Args) -> None:
+    """Write the policy file, evaluate it on validation scenes, log and print the outcomes, write a checkpoint."""
+    folder = Path(args.out)
+    policy, part = folder / POLICY, folder / f"part_{_CHECKPOINT}"
+    origin = describe_origin("train_sb3", args)
+    spec = PolicySpec(args.agent, args.features, args.action_scheme, args.control_period, origin)
+    write_policy(policy, spec, dense_network_from_sb3(model))
+    # User-defined features and schemes were named by the caller, so they may be imported.
+    trust = is_reference(args.features) or is_reference(args.action_scheme)
+    learned, label = f"learned:{policy}", f"{model.num_timesteps} decisions"
+    giver, receiver = (args.partner, learned) if args.agent == "receiver" else (learned, args.partner)
+    report = validate(args, args.val_scenes, giver, receiver, label, physics=args.physics, trust=trust)
+    for name, rate in report.rates.items():
+        model.logger.record(f"evaluation/{name}", rate.mean)
+    model.logger.dump(model.num_timesteps)
+    model.save(part)
+    part.replace(folder / _CHECKPOINT)
 
 
 if __name__ == "__main__":

@@ -30,7 +30,7 @@ from handover_marl.geometry.arrays import (
 )
 from handover_marl.geometry.panda import FINGERTIPS
 from handover_marl.geometry.poses import inverse_transform_points, transform_points
-from handover_marl.geometry.vectors import compute_lengths
+from handover_marl.geometry.vectors import compute_box_distances, compute_lengths
 from handover_marl.planning.robot_clearance import GRIPPER_BOX_CENTERS, GRIPPER_BOX_HALF_SIZES
 
 #: Values (r,) of terms by name.
@@ -147,8 +147,7 @@ def compute_hand_distances(state: Mapping[str, AnyArray]) -> AnyArray:
     """Return the distances (r,) in m of the open gripper's boxes and the nearest hand joint in a state of `Steps`."""
     points = inverse_transform_points(state["gripper_pose"][:, None], state["hand_keypoints"])
     xp, points, centers, halves = as_arrays(points, GRIPPER_BOX_CENTERS, GRIPPER_BOX_HALF_SIZES)
-    outside = (xp.abs(points[:, :, None] - centers) - halves).clip(0.0)
-    return xp.min(compute_lengths(outside), axis=(1, 2))
+    return xp.min(compute_box_distances(points[:, :, None] - centers, halves), axis=(1, 2)).clip(0.0)
 
 
 def _replace_nan(values: AnyArray) -> AnyArray:

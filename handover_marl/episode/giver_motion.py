@@ -2,7 +2,7 @@
 
 import functools
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -39,21 +39,10 @@ _BASE_LINK = 5
 _HALF = OBJECT_DOF // 2
 
 
-class Recordings(Protocol):
-    """Interface of the recordings of n givers; `rows` (r,) are indices of givers, `frames` (r, k) recorded frames."""
-
-    def set_scene(self, row: int, scene: Scene) -> None:
-        """Set the scene whose recording the giver with index `row` plays back."""
-
-    def read(self, rows: AnyIndices, frames: AnyArray) -> ReferenceMotion:
-        """Return copies (r, k, ...) of the joint positions of hand and objects in k recorded frames of each giver."""
-
-    def read_poses(self, rows: AnyIndices, frames: AnyArray) -> AnyArray:
-        """Return the world poses (r, k, 2, 7; xyz, xyzw) of wrist and target object in k recorded frames per giver."""
-
-
 class NumpyRecordings:
-    """Recordings as NumPy arrays, which are read from the scenes.
+    """Recordings of n givers as NumPy arrays, which are read from the scenes.
+
+    The argument `rows` (r,) of methods has indices of givers, and `frames` (r, k) recorded frames.
 
     Args:
         count: Number n of givers.
@@ -91,7 +80,7 @@ class NumpyRecordings:
 
 
 class TensorRecordings:
-    """Recordings as tensors, which stay on the device; a recording of DexYCB takes 1.1 MB.
+    """Recordings as tensors, which stay on the device; a recording of DexYCB takes 1.1 MB. See `NumpyRecordings`.
 
     Args:
         count: Number n of givers.
@@ -185,7 +174,8 @@ class GiverMotion:
 
     def __init__(self, count: int, config: GiverConfig, arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
         self._config, self._arrays = config, arrays
-        self._recorded: Recordings = NumpyRecordings(count) if arrays.xp is np else TensorRecordings(count, arrays)
+        is_numpy = arrays.xp is np
+        self._recorded = NumpyRecordings(count) if is_numpy else TensorRecordings(count, arrays)
         self._last_frame, self._pick_up = arrays.zeros(count, "int64"), arrays.zeros(count, "int64")
         self._wrists_in_base = arrays.zeros((count, 3))
         self.state = GiverState(

@@ -1,4 +1,4 @@
-"""Products and lengths of vectors, equal to NumPy's to the bit and faster for small arrays."""
+"""Products and lengths of vectors, equal to NumPy's to the bit and faster for small arrays; distances to boxes."""
 
 import numpy as np
 import numpy.typing as npt
@@ -19,9 +19,24 @@ def compute_lengths(vectors: AnyArray) -> AnyArray:
     return get_namespace(vectors).sqrt(compute_dot_products(vectors, vectors))
 
 
+def limit_lengths(vectors: AnyArray, length: float) -> AnyArray:
+    """Return vectors (..., k), shortened to a length where they are longer."""
+    return vectors * (length / compute_lengths(vectors).clip(length))[..., None]
+
+
 def compute_cross_products(left: npt.ArrayLike, right: npt.ArrayLike) -> npt.NDArray[np.float64]:
     """Compute the cross products (..., 3) of vectors (..., 3), each equal to `np.cross` to the bit."""
     a, b = np.asarray(left), np.asarray(right)
     ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
     bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
     return np.asarray(stack_last([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx]))
+
+
+def compute_box_distances(points: AnyArray, half_size: AnyArray) -> AnyArray:
+    """Compute the signed distances (...) of points (..., 3) to boxes around the origin with half sizes (..., 3)."""
+    xp = get_namespace(points)
+    # One coordinate at a time, because NumPy reduces short axes slowly.
+    x, y, z = (xp.abs(points[..., axis]) - half_size[..., axis] for axis in range(3))
+    inside = xp.maximum(xp.maximum(x, y), z).clip(None, 0.0)
+    x, y, z = (value.clip(0.0) for value in (x, y, z))
+    return xp.sqrt(x * x + y * y + z * z) + inside

@@ -14,10 +14,9 @@ import numpy.typing as npt
 from handover_marl.episode.observations import Observation, add_episode_axis
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ONLY_ROW, AnyArray, ArrayFactory
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
-from handover_marl.policies.policy import PolicyContext
+from handover_marl.policies.policy import Action, PolicyContext
 
 Outputs = npt.NDArray[np.floating]
-Action = npt.NDArray[np.float32]
 
 
 class ActionScheme(ABC):
@@ -150,27 +149,21 @@ class RawScheme(ArrayScheme):
         return xp.astype(self._outputs[rows], xp.float32)
 
 
-class SingleScheme(ActionScheme):
-    """Action scheme of one episode that wraps an `ArrayScheme`: its arrays have no axis of episodes.
+class SingleScheme:
+    """Action scheme of a single episode, made by `make_scheme`: arrays have no axis of episodes.
 
-    Args:
+    Attributes:
         scheme: Scheme of n = 1 episode.
-        context: Robot, task and known grasps of the objects.
     """
 
-    def __init__(self, scheme: ArrayScheme, context: PolicyContext) -> None:
-        self.name, self.agent, self.size = scheme.name, scheme.agent, scheme.size  # type: ignore[misc]
-        self.context, self.scheme = context, scheme
-        scheme.reset(0)
+    def __init__(self, scheme: ArrayScheme) -> None:
+        self.scheme = scheme
+        self.reset()
 
     @property
     def wait(self) -> float:
         """Time at the start of an episode during which the agent does not act (s)."""
         return self.scheme.wait
-
-    @wait.setter
-    def wait(self, wait: float) -> None:
-        self.scheme.wait = wait
 
     def reset(self) -> None:
         """Clear the state of the previous episode; the outputs become zero."""

@@ -14,9 +14,9 @@ from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE
 from handover_marl.errors import EncodingError, HandoverError, OptionError
 from handover_marl.geometry.arrays import AnyArray, ArrayFactory, to_numpy
-from handover_marl.learning.action_scheme import Action, ActionScheme, ArrayScheme, Outputs
+from handover_marl.learning.action_scheme import ActionScheme, ArrayScheme, Outputs
 from handover_marl.learning.array_features import ArrayFeatures
-from handover_marl.policies.policy import PolicyContext
+from handover_marl.policies.policy import Action, PolicyContext
 
 FEATURES, SCHEME = "features", "action scheme"
 _ACTION_SIZES = {"giver": GIVER_ACTION_SIZE, "receiver": PANDA_DOF}

@@ -4,7 +4,7 @@ from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE, giver_action_space
 from handover_marl.geometry.arrays import AnyArray, widen
 from handover_marl.geometry.rotations import quaternions_from_rotation_vectors, rotate_points
-from handover_marl.geometry.vectors import compute_lengths
+from handover_marl.givers.array_giver import compute_withdrawals
 from handover_marl.givers.reactions import HandoverPoseVariation
 from handover_marl.learning.action_scheme import ArrayScheme, RawScheme
 from handover_marl.learning.array_features import compute_handover_frames, rotate_to_world
@@ -125,8 +125,6 @@ class HandoverPoseScheme(ArrayScheme):
 
         A hand moves from its present displacement `shift` (r, 3) in m away from the gripper, as far as output 6 says.
         """
-        xp, away = self._arrays.xp, observation["hand_keypoints"][:, 0] - observation["gripper_pose"][:, :3]
-        size = xp.astype(compute_lengths(away), xp.float64)[:, None]
         length = (self._outputs[rows, 6:] + 1.0) / 2.0 * self.max_withdrawal
-        withdrawal = shift + length * away / size.clip(1e-6)
+        withdrawal = shift + compute_withdrawals(observation, length)
         self._withdrawal[rows[begins]], self._withdrawn[rows[begins]] = withdrawal[begins], True

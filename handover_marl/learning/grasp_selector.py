@@ -22,7 +22,7 @@ from handover_marl.geometry.rotations import (
     quaternions_from_matrices,
     rotation_vectors_from_quaternions,
 )
-from handover_marl.geometry.vectors import compute_lengths
+from handover_marl.geometry.vectors import compute_box_distances, compute_lengths, limit_lengths
 from handover_marl.planning.robot_clearance import CLOSING_BOX, GRIPPER_BOX_CENTERS, GRIPPER_BOX_HALF_SIZES
 from handover_marl.policies.policy import PolicyContext
 from handover_marl.receivers.grasp_library import GraspTable
@@ -105,7 +105,7 @@ class GraspCosts:
         """
         xp = self._xp
         points = inverse_transform_points(poses[:, :, None], joints[:, None])
-        distances = [xp.min(_compute_box_distances(points, center, half), axis=2) for center, half in self._boxes]
+        distances = [xp.min(compute_box_distances(points - center, half), axis=2) for center, half in self._boxes]
         return (xp.minimum(*distances) - _FINGER_RADIUS).clip(None, MAX_CLEARANCE)
 
     def compute_reach_distances(self, poses: AnyArray, joints: AnyArray) -> AnyArray:
@@ -126,8 +126,8 @@ class GraspCosts:
             translation = target[:, :3] - position
             if iteration == _N_ITERATIONS:
                 break
-            rotation = xp.sum(axes * _shorten(rotation, _MAX_ROTATION)[:, None], axis=2)
-            twist = xp.concat([_shorten(translation, _MAX_TRANSLATION), rotation], axis=1)
+            rotation = xp.sum(axes * limit_lengths(rotation, _MAX_ROTATION)[:, None], axis=2)
+            twist = xp.concat([limit_lengths(translation, _MAX_TRANSLATION), rotation], axis=1)
             angles = (angles + solve_damped(jacobian, twist, _DAMPING)).clip(self._low, self._high)
         errors = compute_lengths(translation) + _ERROR_ROTATION_WEIGHT * compute_lengths(rotation)
         return errors.reshape(count, number)
@@ -146,20 +146,6 @@ def load_validated_grasps(context: PolicyContext, object_class: int) -> tuple[Ar
     costs = compute_hold_costs(graspable.grasps, graspable.pad_margins, config.selection)
     poses = graspable.grasps.poses
     return np.concatenate([poses, compose(poses, np.array(HALF_TURN))]), np.concatenate([costs, costs])
-
-
-def _compute_box_distances(points: AnyArray, center: AnyArray, half_size: AnyArray) -> AnyArray:
-    """Return the signed distances (...) in m of points (..., 3) from a box, negative inside."""
-    xp = get_namespace(points)
-    x, y, z = (xp.abs(points[..., axis] - center[axis]) - half_size[axis] for axis in range(3))
-    inside = xp.maximum(xp.maximum(x, y), z).clip(None, 0.0)
-    x, y, z = (value.clip(0.0) for value in (x, y, z))
-    return xp.sqrt(x * x + y * y + z * z) + inside
-
-
-def _shorten(vectors: AnyArray, length: float) -> AnyArray:
-    """Return vectors (m, 3), shortened to a length where they are longer."""
-    return vectors * (length / compute_lengths(vectors).clip(length))[:, None]
 
 
 class LowestCostGraspSelector:

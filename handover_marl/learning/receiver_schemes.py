@@ -15,7 +15,7 @@ from handover_marl.geometry.rotations import (
     rotate_points,
     rotation_vectors_from_quaternions,
 )
-from handover_marl.geometry.vectors import compute_lengths
+from handover_marl.geometry.vectors import limit_lengths
 from handover_marl.learning.action_scheme import ArrayScheme, InvertibleScheme, RawScheme
 from handover_marl.learning.array_features import rotate_to_frame, rotate_to_world
 from handover_marl.policies.policy import PolicyContext
@@ -227,9 +227,9 @@ class GraspServoScheme(HandMotionScheme):
             target, quaternions_from_rotation_vectors(outputs[:, 3:6] * self.max_output_rotation)
         )
         inverse = conjugate_quaternions(present)
-        translation = _limit_norm(rotate_points(inverse, position - gripper[:, :3]), self.max_translation)
+        translation = limit_lengths(rotate_points(inverse, position - gripper[:, :3]), self.max_translation)
         rotation = rotation_vectors_from_quaternions(multiply_quaternions(inverse, target))
-        return self._move(observation, translation, _limit_norm(rotation, self.max_rotation), self._closed[rows])
+        return self._move(observation, translation, limit_lengths(rotation, self.max_rotation), self._closed[rows])
 
     def _find_targets(
         self, rows: AnyArray, observation: Observation, gripper: AnyArray, present: AnyArray
@@ -253,11 +253,6 @@ class GraspServoScheme(HandMotionScheme):
         standoff = self.standoff_per_offset * (lateral - self.lateral_tolerance).clip(0.0)
         standoff = standoff + self.standoff_per_angle * (angle - self.angle_tolerance).clip(0.0)
         return standoff.clip(None, self.max_standoff)
-
-
-def _limit_norm(vectors: AnyArray, length: float) -> AnyArray:
-    xp, norm = get_namespace(vectors), compute_lengths(vectors)[:, None]
-    return xp.where(norm <= length, vectors, vectors * (length / norm.clip(length)))
 
 
 def _limit_largest(vectors: AnyArray) -> AnyArray:

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.geometry.model_files.meshes import find_farthest_points
 from handover_marl.geometry.poses import inverse_transform_points
+from handover_marl.geometry.vectors import compute_box_distances
 from handover_marl.planning.arm_control import ArmInWorld
 
 Array = npt.NDArray[np.float64]
@@ -118,14 +119,14 @@ def compute_gripper_corners(hands: Array) -> Array:
 def compute_flange_clearances(hands: Array, spheres: Spheres) -> Array:
     """Return signed clearances (n,) in m of the flange from a body; see `compute_open_gripper_clearances`."""
     local = _points_in_hands(hands, spheres.centers) - GRIPPER_BOX_CENTERS[_FLANGE]
-    return np.asarray((_box_distances(local, GRIPPER_BOX_HALF_SIZES[_FLANGE]) - spheres.radii).min(axis=1))
+    return np.asarray((compute_box_distances(local, GRIPPER_BOX_HALF_SIZES[_FLANGE]) - spheres.radii).min(axis=1))
 
 
 def compute_open_gripper_clearances(hands: Array, spheres: Spheres) -> Array:
     """Return clearances (n,) in m, negative on overlap, of a body to open gripper and flange at hand poses (n, 7)."""
     local = _points_in_hands(hands, spheres.centers)
     boxes = zip(GRIPPER_BOX_CENTERS, GRIPPER_BOX_HALF_SIZES, strict=True)
-    by_box = [(_box_distances(local - center, half) - spheres.radii).min(axis=1) for center, half in boxes]
+    by_box = [(compute_box_distances(local - center, half) - spheres.radii).min(axis=1) for center, half in boxes]
     return np.asarray(np.min(by_box, axis=0))
 
 
@@ -137,9 +138,9 @@ def compute_grasp_clearances(hands: Array, spheres: Spheres, sweep: float = 0.0,
     """
     local = _points_in_hands(hands, spheres.centers)
     back = np.array([0.0, 0.0, 0.5 * sweep])
-    distances = _box_distances(local - CLOSING_BOX[0], CLOSING_BOX[1])
+    distances = compute_box_distances(local - CLOSING_BOX[0], CLOSING_BOX[1])
     for box in _APPROACH_BOXES if flange else _APPROACH_BOXES[:1]:
-        swept = _box_distances(local - GRIPPER_BOX_CENTERS[box] + back, GRIPPER_BOX_HALF_SIZES[box] + back)
+        swept = compute_box_distances(local - GRIPPER_BOX_CENTERS[box] + back, GRIPPER_BOX_HALF_SIZES[box] + back)
         distances = np.minimum(distances, swept)
     return np.asarray((distances - spheres.radii).min(axis=1))
 
@@ -156,7 +157,7 @@ def find_closest_points(hand: Array, spheres: Spheres) -> ClosestPoints:
     local = (spheres.centers - hand[:3]) @ rotation
     offsets = local[None] - GRIPPER_BOX_CENTERS[:, None]
     by_box = zip(offsets, GRIPPER_BOX_HALF_SIZES, strict=True)
-    distances = np.stack([_box_distances(offset, half) for offset, half in by_box])
+    distances = np.stack([compute_box_distances(offset, half) for offset, half in by_box])
     box, sphere = np.unravel_index(int(np.argmin(distances - spheres.radii)), distances.shape)
     half = GRIPPER_BOX_HALF_SIZES[box]
     offset = offsets[box, sphere]
@@ -220,13 +221,3 @@ def _arm_segments(arm: ArmInWorld, joints: Array) -> tuple[Array, Array]:
 def _points_in_hands(hands: Array, points: Array) -> Array:
     """Transform points (k, 3) to the frame of each of n hand links with poses (n, 7): (n, k, 3)."""
     return np.asarray((points[None] - hands[:, None, :3]) @ Rotation.from_quat(hands[:, 3:]).as_matrix())
-
-
-def _box_distances(points: Array, half_size: Array) -> Array:
-    """Return the signed distances (...) in m of points (..., 3) to a box around the origin with half sizes (3,)."""
-    beyond = np.abs(points)
-    beyond -= half_size
-    # One coordinate at a time and in place: NumPy reduces short axes slowly.
-    inside = np.minimum(np.maximum(np.maximum(beyond[..., 0], beyond[..., 1]), beyond[..., 2]), 0.0)
-    outside = np.maximum(beyond, 0.0, out=beyond)
-    return np.asarray(np.sqrt(np.einsum("...i,...i->...", outside, outside)) + inside)

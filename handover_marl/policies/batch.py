@@ -1,21 +1,27 @@
-"""Policies that act in many episodes at once, as one policy on arrays or as one policy per episode.
+"""Policies that act in many episodes at once, as one policy on arrays or as one policy per episode."""
 
-Policies on arrays work with NumPy arrays or with PyTorch tensors; `HostPolicyBatch` lets policies on NumPy arrays act
-in episodes whose arrays are tensors.
-"""
-
+import copy
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import Protocol, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from handover_marl.config import PANDA_DOF
-from handover_marl.episode.loop import call_policy, start_policy
-from handover_marl.episode.observations import Observation
+from handover_marl.episode.loop import call_policy, start_policy, steps_from_hold_time
+from handover_marl.episode.observations import Observation, add_episode_axis
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE
-from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, AnyIntegers, ArrayFactory, to_numpy
-from handover_marl.policies.policy import Policy
+from handover_marl.geometry.arrays import (
+    NUMPY_ARRAYS,
+    ONLY_ROW,
+    AnyArray,
+    AnyIndices,
+    AnyIntegers,
+    ArrayFactory,
+    to_numpy,
+)
+from handover_marl.policies.policy import Action, Policy
 
 #: Actions (r, ...), float32.
 Actions: TypeAlias = AnyArray
@@ -53,11 +59,17 @@ class SequentialPolicyBatch(PolicyBatch):
     Args:
         policies: Policy of each episode.
         check: Function that checks an action and returns it as float32.
+        arrays: Creator of the arrays of the episodes; policies observe NumPy arrays.
     """
 
-    def __init__(self, policies: Sequence[Policy], check: Callable[[object], Actions]) -> None:
-        self._policies, self._check = policies, check
-        self._actions: dict[int, Actions] = {}
+    def __init__(
+        self,
+        policies: Sequence[Policy],
+        check: Callable[[object], npt.NDArray[np.float32]],
+        arrays: ArrayFactory = NUMPY_ARRAYS,
+    ) -> None:
+        self._policies, self._check, self._arrays = policies, check, arrays
+        self._actions: dict[int, npt.NDArray[np.float32]] = {}
         self._due = np.zeros(len(policies), dtype=np.int64)
 
     def reset(self, row: int, seed: int | None, object_names: Sequence[str]) -> None:
@@ -67,57 +79,62 @@ class SequentialPolicyBatch(PolicyBatch):
 
     def act(self, rows: AnyIndices, observe: ObserveFunction, steps: AnyIntegers) -> tuple[Actions, AnyIntegers]:
         """Return actions (r, ...) in the episodes `rows`, and the physics steps (r,) of their next decisions."""
+        arrays, rows, steps = self._arrays, to_numpy(rows), to_numpy(steps)
         numbers = np.flatnonzero(steps >= self._due[rows])
-        found = observe(rows[numbers]) if len(numbers) else {}
+        found = observe(arrays.asarray(rows[numbers])) if len(numbers) else {}
+        found = {key: to_numpy(values) for key, values in found.items()}
         for place, number in enumerate(numbers.tolist()):
             row, observation = int(rows[number]), {key: values[place] for key, values in found.items()}
             action, self._due[row] = call_policy(self._policies[row], observation, int(steps[number]))
             self._actions[row] = self._check(action)
-        return np.stack([self._actions[row] for row in rows.tolist()]), self._due[rows]
+        actions = np.stack([self._actions[row] for row in rows.tolist()])
+        return arrays.asarray(actions), arrays.asarray(self._due[rows])
 
 
-class HostPolicyBatch(PolicyBatch):
-    """Adapter that runs a batch of NumPy policies in episodes on a GPU: copies observations to the CPU, actions back.
+class ArrayPolicy(Policy):
+    """Base class of policies whose state is in arrays (n, ...), with one row for each of the n episodes they act in.
 
-    Args:
-        batch: Batch of policies that takes and returns NumPy arrays.
-        arrays: Creator of the tensors into which actions are converted, on the device of the episodes.
+    Subclasses define `allocate`, `start` and `decide`. A policy that is constructed acts in one episode, `copy_for`
+    returns one for several; actions do not depend on the other episodes. Arrays are NumPy arrays or PyTorch tensors.
+    The argument `rows` (r,) of methods has the indices of the episodes to which a method applies; observations and
+    actions have one row for each of them.
     """
 
-    def __init__(self, batch: PolicyBatch, arrays: ArrayFactory) -> None:
-        self._batch, self._arrays = batch, arrays
+    @abstractmethod
+    def allocate(self, count: int, arrays: ArrayFactory) -> None:
+        """Create the state of `count` episodes, in arrays that `arrays` creates."""
 
-    def reset(self, row: int, seed: int | None, object_names: Sequence[str]) -> None:
-        """Start episode `row` with a seed of the policy and the objects' class names, the handed-over one first."""
-        self._batch.reset(row, seed, object_names)
-
-    def act(self, rows: AnyIndices, observe: ObserveFunction, steps: AnyIntegers) -> tuple[Actions, AnyIntegers]:
-        """Return actions (r, ...) in the episodes `rows`, and the physics steps (r,) of their next decisions."""
-
-        def observe_on_host(some: AnyIndices) -> Observation:
-            return {key: to_numpy(values) for key, values in observe(self._arrays.asarray(some)).items()}
-
-        actions, due = self._batch.act(to_numpy(rows), observe_on_host, to_numpy(steps))
-        return self._arrays.asarray(actions), self._arrays.asarray(due)
-
-
-class ArrayPolicy(Protocol):
-    """Interface of policies whose state is in arrays (n, ...), one row for each of n episodes.
-
-    The argument `rows` (r,) of methods has the indices of the episodes to which a method applies.
-    """
-
-    def prepare(self, object_names: Sequence[str]) -> None:
-        """Prepare for an episode with the objects of these class names."""
-
+    @abstractmethod
     def start(self, row: int, seed: int | None) -> None:
         """Start the episode with index `row`, whose random numbers `seed` determines."""
 
+    @abstractmethod
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
         """Return the agent's actions (r, ...) in the episodes `rows`, given its observations (r, ...)."""
 
     def count_hold_steps(self, rows: AnyIndices) -> int | AnyIntegers:
         """Return for how many physics steps the actions in the episodes `rows` are held, (r,) or one number for all."""
+        return steps_from_hold_time(self.hold_time)
+
+    @property
+    def is_batchable(self) -> bool:
+        """Whether `copy_for` works; a subclass may act in another way than by `start` and `decide`."""
+        return (type(self).act, type(self).reset) == (ArrayPolicy.act, ArrayPolicy.reset)
+
+    def copy_for(self, count: int, arrays: ArrayFactory) -> "ArrayPolicy":
+        """Return a policy with the same options for `count` episodes, with its state in arrays of `arrays`."""
+        policy = copy.copy(self)
+        policy.allocate(count, arrays)
+        return policy
+
+    def reset(self, seed: int | None = None) -> None:
+        """Start an episode of a policy that acts in a single one; the seed determines its random numbers."""
+        self.start(0, seed)
+
+    def act(self, observation: Observation) -> Action:
+        """Return the action, (8,) of a giver or (9,) of a receiver, in a single episode; `decide` is for several."""
+        action: Action = self.decide(ONLY_ROW, add_episode_axis(observation))[0]
+        return action
 
 
 class ArrayPolicyBatch(PolicyBatch):

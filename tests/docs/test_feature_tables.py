@@ -11,11 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.episode.observations import giver_observation_space, state_space
 from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
-from handover_marl.learning.features import list_features, make_features
+from handover_marl.learning.encodings import count_features, count_outputs, list_features, list_schemes, make_scheme
 from handover_marl.learning.giver_schemes import HandoverPoseScheme
-from handover_marl.learning.schemes import list_schemes, make_scheme
 from tests.docs.pages import REPOSITORY, checked_table, marks
-from tests.learning.array_encodings import CONTEXT, select_grasp
+from tests.learning.array_encodings import CONTEXT, SingleFeatures, select_grasp
 
 AGENTS = ("giver", "receiver")
 PAGE = REPOSITORY / "docs" / "reference" / "features.md"
@@ -167,12 +166,12 @@ def described_value(text: str, quantity: Any) -> np.ndarray:
 @pytest.mark.parametrize("agent", AGENTS)
 def test_every_column_is_described(agent: str) -> None:
     text = PAGE.read_text()
-    for kind, unit, names, make in (
-        ("features", "features", list_features(agent), make_features),
-        ("scheme", "outputs", list_schemes(agent), make_scheme),
+    for kind, unit, names, count in (
+        ("features", "features", list_features(agent), count_features),
+        ("scheme", "outputs", list_schemes(agent), count_outputs),
     ):
         for name in names:
-            size = make(agent, name, CONTEXT).size
+            size = count(agent, name)
             assert f"`{name}` of the {agent} ({size} {unit})" in text
             columns = read_columns(kind, agent, name) if f"{kind} {agent}/{name}" in marks(PAGE) else []
             ends = [0, *(each.place.stop for each in columns)]
@@ -185,7 +184,7 @@ def test_every_column_is_described(agent: str) -> None:
     [("giver", "giver"), *(("receiver", n) for n in ("receiver", "grasp", "grasp_velocity", "close"))],
 )
 def test_features_have_the_described_values(agent: str, name: str) -> None:
-    extractor = make_features(agent, name, CONTEXT)
+    extractor = SingleFeatures(agent, name, CONTEXT)
     extractor(BEFORE)
     features = extractor(OBSERVATION)
     for column in read_columns("features", agent, name):
@@ -194,12 +193,12 @@ def test_features_have_the_described_values(agent: str, name: str) -> None:
 
 
 def test_stacked_features_begin_with_those_of_the_present_decision() -> None:
-    single, stacked = make_features("receiver", "close", CONTEXT), make_features("receiver", "close_stack", CONTEXT)
+    single, stacked = SingleFeatures("receiver", "close", CONTEXT), SingleFeatures("receiver", "close_stack", CONTEXT)
     times = [0.0, 0.2, 0.2, 0.4, 0.6, 0.8]
     observations = [{**sample(), "time": np.float32([time])} for time in times]
     expected = [single(observation) for observation in observations]
     for episode in range(2):
-        stacked.reset()
+        stacked.features.reset(0)
         for number, observation in enumerate(observations):
             found = stacked(observation).reshape(4, -1)
             # The later one of two observations at the same time replaces the earlier one.
@@ -212,7 +211,7 @@ def test_stacked_features_begin_with_those_of_the_present_decision() -> None:
 def test_flat_features_are_the_named_entries() -> None:
     for agent, keys in (("giver", OBSERVATION), ("receiver", state_space())):
         expected = np.concatenate([OBSERVATION[key].ravel() for key in sorted(keys)])
-        np.testing.assert_array_equal(make_features(agent, f"flat_{agent}", CONTEXT)(OBSERVATION), expected)
+        np.testing.assert_array_equal(SingleFeatures(agent, f"flat_{agent}", CONTEXT)(OBSERVATION), expected)
 
 
 def described_scale(text: str) -> list[float]:
@@ -261,5 +260,5 @@ def test_schemes_of_receivers_have_the_described_scales() -> None:
 
 def test_features_without_a_grasp_are_zeros() -> None:
     without = replace(CONTEXT, load_grasps=lambda name: None)
-    np.testing.assert_array_equal(make_features("receiver", "close", without)(OBSERVATION)[[*range(8), 11]], 0.0)
-    np.testing.assert_array_equal(make_features("receiver", "grasp", without)(OBSERVATION)[-8:], 0.0)
+    np.testing.assert_array_equal(SingleFeatures("receiver", "close", without)(OBSERVATION)[[*range(8), 11]], 0.0)
+    np.testing.assert_array_equal(SingleFeatures("receiver", "grasp", without)(OBSERVATION)[-8:], 0.0)

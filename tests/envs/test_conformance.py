@@ -12,7 +12,7 @@ from pettingzoo.utils.conversions import parallel_to_aec
 import handover_marl
 from handover_marl import control_agent, encode
 from handover_marl.envs.handover_env import HandoverEnv
-from handover_marl.envs.wrappers.wrapper import EpisodeReturns, SingleAgentEnv
+from handover_marl.envs.wrappers.wrapper import SingleAgentEnv
 from tests.envs.test_wrappers import Cost
 from tests.helpers.equality import assert_equal
 
@@ -34,7 +34,7 @@ KINDS: dict[str, Callable[[], Any]] = {
     "giver": lambda: control_agent(make(), "giver", "random"),
     "encoded receiver": lambda: encode(Cost(control_agent(Cost(make()), "receiver", "noisy"))),
     "images": lambda: encode(control_agent(make(obs_mode="rgb", cameras=CAMERAS), "receiver", "noisy"), "observation"),
-    "encoded giver": lambda: encode(EpisodeReturns(control_agent(make(), "giver", "random"))),
+    "encoded giver": lambda: encode(control_agent(make(), "giver", "random")),
 }
 
 

@@ -1,19 +1,32 @@
-"""Random observations of many episodes, and the grasp of lowest cost, for tests of features and action schemes."""
+"""Random observations of many episodes, features of one, and grasps of lowest cost, for tests of encodings."""
+
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.episode.observations import Observation, giver_observation_space
-from handover_marl.learning.features import list_features
+from handover_marl.episode.observations import Observation, add_episode_axis, giver_observation_space
+from handover_marl.geometry.arrays import ONLY_ROW
+from handover_marl.learning.encodings import list_features, list_schemes, make_array_features
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
-from handover_marl.learning.schemes import list_schemes
 from handover_marl.policies.policy import PolicyContext, make_policy_context
 from tests.givers.test_givers import START, seen
 
 CONTEXT = make_policy_context(SyntheticDataset())
 COUNT = 24
 ROWS = np.arange(COUNT)
+
+
+class SingleFeatures:
+    """Features of one agent in a single episode, whose observations have no axis of episodes."""
+
+    def __init__(self, agent: str, choice: Any, context: PolicyContext) -> None:
+        self.features = make_array_features(agent, choice, context, LowestCostGraspSelector(context, 1), 1)
+
+    def __call__(self, observation: Observation) -> np.ndarray:
+        found: np.ndarray = self.features(ONLY_ROW, add_episode_axis(observation))[0]
+        return found
 
 
 def select(observation: Observation, rows: np.ndarray) -> Observation:

@@ -15,16 +15,24 @@ from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import ArrayFactory, is_tensor, to_numpy
 from handover_marl.geometry.panda import HALF_TURN
 from handover_marl.geometry.poses import compose
-from handover_marl.learning.features import make_array_features, make_features
+from handover_marl.learning.encodings import make_array_features, make_array_scheme, make_scheme
 from handover_marl.learning.grasp_selector import MAX_CLEARANCE, LowestCostGraspSelector
-from handover_marl.learning.schemes import make_array_scheme, make_scheme
 from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.planning.robot_clearance import Spheres, compute_grasp_clearances
 from handover_marl.receivers.grasp_library import load_hand_poses
 from handover_marl.receivers.reactive.config import ReactiveConfig
 from handover_marl.receivers.reactive.grasp_contact import compute_hold_costs, load_graspable_object
 from tests.helpers.tensors import make_device_tensors
-from tests.learning.array_encodings import CONTEXT, COUNT, FEATURES, ROWS, SCHEMES, draw_observation, select
+from tests.learning.array_encodings import (
+    CONTEXT,
+    COUNT,
+    FEATURES,
+    ROWS,
+    SCHEMES,
+    SingleFeatures,
+    draw_observation,
+    select,
+)
 
 
 def test_selected_grasps_have_the_lowest_cost() -> None:
@@ -66,7 +74,7 @@ def test_selected_grasps_have_the_lowest_cost() -> None:
 
 @pytest.mark.parametrize(("agent", "name"), FEATURES)
 def test_features_do_not_depend_on_other_episodes(agent: str, name: str) -> None:
-    singles = [make_features(agent, name, CONTEXT) for _ in ROWS]
+    singles = [SingleFeatures(agent, name, CONTEXT) for _ in ROWS]
     together = make_array_features(agent, name, CONTEXT, LowestCostGraspSelector(CONTEXT, COUNT), COUNT)
     for seed in range(2):
         observation = draw_observation(seed)

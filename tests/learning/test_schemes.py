@@ -17,14 +17,13 @@ from handover_marl.episode.spaces import check_giver_action, giver_action_space,
 from handover_marl.errors import HandoverError, OptionError
 from handover_marl.learning.array_features import compute_handover_frames
 from handover_marl.learning.custom_encodings import declare_size
-from handover_marl.learning.features import make_features
+from handover_marl.learning.encodings import count_outputs, list_schemes, make_scheme
 from handover_marl.learning.giver_schemes import HandoverPoseScheme
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
-from handover_marl.learning.schemes import count_outputs, list_schemes, make_scheme
 from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.receivers import WAITING_JOINTS, make_policy_context
 from tests.givers.test_givers import START, seen
-from tests.learning.array_encodings import select_grasp
+from tests.learning.array_encodings import SingleFeatures, select_grasp
 from tests.learning.custom import FirstJoint, OffsetAndCount, move_first_joint, offset_to_object
 
 CONTEXT = make_policy_context(SyntheticDataset())
@@ -108,7 +107,7 @@ def test_cartesian_delta_moves_the_gripper_in_its_own_frame() -> None:
 def test_outputs_follow_from_the_action_of_a_receiver(name: str) -> None:
     scheme = make_scheme("receiver", name, CONTEXT)
     observation: Any = add_episode_axis(seen())
-    values = np.random.default_rng(0).uniform(-0.8, 0.8, scheme.size)
+    values = np.random.default_rng(0).uniform(-0.8, 0.8, scheme.scheme.size)
     values[-1] = 1.0
     scheme.set_outputs(values)
     action = scheme.compute_action(seen())
@@ -187,7 +186,7 @@ def test_schemes_and_features_follow_the_configuration() -> None:
     np.testing.assert_allclose(brought[:7], START[:7], atol=1e-5)
     way = np.array(moved.goal_center) - CONTEXT.protocol.goal_center
     for agent, part, scale in (("giver", slice(2, 5), -10.0), ("receiver", slice(9, 12), 5.0)):
-        usual, other = (make_features(agent, agent, each)(seen()) for each in (CONTEXT, context))
+        usual, other = (SingleFeatures(agent, agent, each)(seen()) for each in (CONTEXT, context))
         np.testing.assert_allclose((other - usual)[part], scale * way, atol=1e-5)
         np.testing.assert_array_equal(np.delete(other, np.r_[part]), np.delete(usual, np.r_[part]))
 
@@ -224,15 +223,15 @@ def features_that(result: Any) -> Any:
     ],
 )
 def test_forms_of_own_features(choice: Any, name: str, size: int) -> None:
-    made = make_features("receiver", choice, CONTEXT)
-    assert (made.name, made.size, made.space.shape) == (name, size, (size,))
+    made = SingleFeatures("receiver", choice, CONTEXT)
+    assert (made.features.name, made.features.size) == (name, size)
     np.testing.assert_array_equal(made(seen())[:3], offset_to_object(seen()))
 
 
 @pytest.mark.parametrize("choice", [FirstJoint, move_first_joint, f"{MODULE}:FirstJoint", f"{MODULE}:move_first_joint"])
 def test_forms_of_own_schemes(choice: Any) -> None:
     scheme = make_scheme("receiver", choice, CONTEXT)
-    assert scheme.size == 1
+    assert scheme.scheme.size == 1
     assert scheme.needs_outputs(seen())
     np.testing.assert_array_equal(scheme.compute_action(seen()), START)
     scheme.set_outputs(np.array([3.0]))
@@ -245,18 +244,18 @@ def test_forms_of_own_schemes(choice: Any) -> None:
     ("make", "agent", "choice", "message"),
     [
         *(
-            (make_features, "receiver", features_that(result), f"features '.*mine' must be {fault}")
+            (SingleFeatures, "receiver", features_that(result), f"features '.*mine' must be {fault}")
             for result, fault in (
                 (np.zeros(2), r"a float32 array of shape \(2,\), got float64 \(2,\); convert with"),
                 (np.array([0.0, np.nan], np.float32), "finite, got nan in component 1"),
             )
         ),
-        (make_features, "receiver", broken, r"features 'broken' failed \(KeyError: 'nothing'\)"),
-        (make_features, "receiver", Unmakable, r"'Unmakable' cannot be made \(RuntimeError: no weights\)"),
-        (make_features, "receiver", len, "features 'len' must declare the number of features"),
-        (make_features, "giver", OffsetAndCount, "'OffsetAndCount' must be for the giver, got some for the receiver"),
-        (make_features, "receiver", "nothing", "features of the receiver 'nothing'; valid: receiver"),
-        (make_features, "receiver", "no_such_module:x", "it cannot be imported"),
+        (SingleFeatures, "receiver", broken, r"features 'broken' failed \(KeyError: 'nothing'\)"),
+        (SingleFeatures, "receiver", Unmakable, r"'Unmakable' cannot be made \(RuntimeError: no weights\)"),
+        (SingleFeatures, "receiver", len, "features 'len' must declare the number of features"),
+        (SingleFeatures, "giver", OffsetAndCount, "'OffsetAndCount' must be for the giver, got some for the receiver"),
+        (SingleFeatures, "receiver", "nothing", "features of the receiver 'nothing'; valid: receiver"),
+        (SingleFeatures, "receiver", "no_such_module:x", "it cannot be imported"),
         (make_scheme, "receiver", OffsetAndCount, "must be a name, a subclass of .*ActionScheme or a function"),
     ],
 )

@@ -11,6 +11,7 @@ from handover_marl.datasets import OfficialDataset
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
 from handover_marl.errors import DataNotFoundError, OptionError, UnknownNameError
+from handover_marl.geometry.arrays import NUMPY_ARRAYS
 from handover_marl.policies.batch import ArrayPolicyBatch
 from handover_marl.policies.policy import make_policy_context
 from handover_marl.receivers.yang2021 import Yang2021Receiver, YangPhase
@@ -63,7 +64,7 @@ def test_a_batch_with_an_object_without_grasps() -> None:
     context = replace(
         make_policy_context(data), load_grasps=lambda name: None if name == missing else data.load_grasps(name)
     )
-    batch = ArrayPolicyBatch(Yang2021Receiver(context, wait=0.0).copy_for(3), 3, "receiver")
+    batch = ArrayPolicyBatch(Yang2021Receiver(context, wait=0.0).copy_for(3, NUMPY_ARRAYS), 3, "receiver")
     found = {key: np.stack([values] * 3) for key, values in state.items()}
     found["object_classes"][1, 0] += 1
     for row in range(3):

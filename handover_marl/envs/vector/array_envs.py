@@ -16,7 +16,7 @@ from handover_marl.envs.vector.policy_batches import make_policy_batch
 from handover_marl.envs.vector.reward_sums import RewardSums
 from handover_marl.envs.wrappers.control_agent import FixedPartnerEnv
 from handover_marl.envs.wrappers.encode import MAX_EPISODES_WITHOUT_OUTPUTS, EncodedEnv, make_no_outputs_error
-from handover_marl.envs.wrappers.wrapper import ByAgent, EpisodeReturns, WrappableEnv, list_wrappers
+from handover_marl.envs.wrappers.wrapper import ByAgent, WrappableEnv, list_wrappers
 from handover_marl.episode.episodes import Episodes
 from handover_marl.episode.loop import derive_giver_seed, derive_receiver_seed
 from handover_marl.episode.observations import Observation, select_receiver_observation
@@ -26,10 +26,9 @@ from handover_marl.episode.warp_sensors import WarpSensors
 from handover_marl.geometry.arrays import AnyArray, AnyIndices, Indices, to_numpy
 from handover_marl.learning.action_scheme import ArrayScheme
 from handover_marl.learning.array_features import ArrayFeatures
-from handover_marl.learning.features import make_array_features
+from handover_marl.learning.encodings import make_array_features, make_array_scheme
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
 from handover_marl.learning.policy_spec import OBSERVATION
-from handover_marl.learning.schemes import make_array_scheme
 from handover_marl.policies.batch import PolicyBatch
 from handover_marl.simulation.engines import BatchBackend
 
@@ -57,15 +56,13 @@ class ArrayEpisodes:
         self._episodes = Episodes(config.world_config, count, backend)
         arrays = self.arrays = self._episodes.arrays
         self._rewards = RewardSums(config, self._episodes, count)
-        wrappers = list_wrappers(template)
-        self._has_returns = any(isinstance(env, EpisodeReturns) for env in wrappers)
         self._cycles = arrays.zeros(count, "int64")
         self._terminated, self._truncated = arrays.zeros(count, "bool"), arrays.zeros(count, "bool")
         space = base.action_space(GIVER)
         self._giver_limits = arrays.asarray(space.low), arrays.asarray(space.high)
         self._partner: PolicyBatch | None = None
         self._partner_agent = GIVER if self._agents == [RECEIVER] else RECEIVER
-        for env in wrappers:
+        for env in list_wrappers(template):
             if isinstance(env, FixedPartnerEnv):
                 self._partner = make_policy_batch(
                     env.reference, base.dataset, config.world_config, config.setup, count, arrays
@@ -188,7 +185,7 @@ class ArrayEpisodes:
             result.observations[agent] = (
                 self._features[agent](rows, observation) if agent in self._features else observation
             )
-            terms = self._rewards.make_infos(agent, rows, self._has_returns)
+            terms = self._rewards.make_infos(agent, rows)
             result.infos[agent] = {**self._episodes.make_infos(rows), **terms}
             if agent == RECEIVER:
                 for key, matrix in self._base.calibration.items():

@@ -10,12 +10,10 @@ from handover_marl.config import WorldConfig
 from handover_marl.datasets.dataset import Dataset
 from handover_marl.episode.spaces import check_giver_action, check_receiver_action, giver_action_space
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyIndices, AnyIntegers, ArrayFactory, to_numpy
-from handover_marl.givers.array_giver import ArrayGiver
-from handover_marl.learning.adapters.function_policy import FunctionPolicy
 from handover_marl.policies.batch import (
     Actions,
+    ArrayPolicy,
     ArrayPolicyBatch,
-    HostPolicyBatch,
     ObserveFunction,
     PolicyBatch,
     SequentialPolicyBatch,
@@ -23,7 +21,6 @@ from handover_marl.policies.batch import (
 from handover_marl.policies.policy import Policy
 from handover_marl.policies.populations import PopulationPolicy
 from handover_marl.policies.reference import PolicyReference
-from handover_marl.receivers.yang2021 import Yang2021Receiver
 
 
 class PopulationBatch(PolicyBatch):
@@ -65,10 +62,7 @@ def make_policy_batch(
     count: int,
     arrays: ArrayFactory = NUMPY_ARRAYS,
 ) -> PolicyBatch:
-    """Make a policy for `count` environments: one on arrays if there is such a version, else one per environment.
-
-    Policies that work with NumPy arrays only get copies on the host if `arrays` creates tensors.
-    """
+    """Make a policy for `count` environments: one on arrays if there is such a version, else one per environment."""
     agent, space = reference.agent, giver_action_space(config.giver)
 
     def check(action: object) -> npt.NDArray[np.float32]:
@@ -79,16 +73,8 @@ def make_policy_batch(
         if isinstance(first, PopulationPolicy):
             makers = [functools.partial(first.make_member, number) for number in range(len(first.members))]
             return PopulationBatch(first, [make_batch(maker) for maker in makers], count, arrays)
-        # A subclass of a policy may act in another way.
-        if isinstance(first, ArrayGiver) and type(first).act is ArrayGiver.act:
+        if isinstance(first, ArrayPolicy) and first.is_batchable:
             return ArrayPolicyBatch(first.copy_for(count, arrays), count, agent, arrays)
-        if isinstance(first, FunctionPolicy) and first.is_batchable:
-            return ArrayPolicyBatch(first.copy_for(count, arrays), count, agent, arrays)
-        batch: PolicyBatch
-        if type(first) is Yang2021Receiver:
-            batch = ArrayPolicyBatch(first.copy_for(count), count, agent)
-        else:
-            batch = SequentialPolicyBatch([first, *(make() for _ in range(count - 1))], check)
-        return batch if arrays == NUMPY_ARRAYS else HostPolicyBatch(batch, arrays)
+        return SequentialPolicyBatch([first, *(make() for _ in range(count - 1))], check, arrays)
 
     return make_batch(functools.partial(reference.make, dataset, config, setup))

@@ -14,14 +14,11 @@ from handover_marl.envs.custom_rewards import RewardSource
 from handover_marl.envs.rewards import StepData
 from handover_marl.envs.transition import Transition, TransitionRecorder
 from handover_marl.envs.vector.batch import select_rows
-from handover_marl.envs.wrappers.wrapper import RETURN, RETURN_PREFIX, REWARD_PREFIX
+from handover_marl.envs.wrappers.wrapper import REWARD_PREFIX
 from handover_marl.episode.episodes import Episodes
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.geometry.arrays import AnyArray, AnyIndices, to_numpy
-
-# Indices in the sums of rewards.
-_SINCE_CLEAR, _SINCE_START = 0, 1
 
 
 class RewardSums:
@@ -34,15 +31,14 @@ class RewardSums:
         self._episodes, self._count, self._arrays = episodes, count, episodes.arrays
         self._source = RewardSource(config.rewards, config.world_config.protocol.goal_center, count, episodes.arrays)
         self._recorders = [TransitionRecorder(config.control_period) for _ in range(count)]
-        # Names of the terms by agent, and sums (n, 2, 1 + k) of rewards and of k terms: since the last `clear`, and
-        # since the start of the episode.
+        # Names of the k terms by agent, and sums (n, 1 + k) of the rewards and of each term.
         self._names: dict[str, list[str]] = {}
         self._sums: dict[str, AnyArray] = {}
 
     @property
     def totals(self) -> dict[str, AnyArray]:
         """Rewards (n,) by agent since the last `clear`."""
-        return {agent: sums[:, _SINCE_CLEAR, 0] for agent, sums in self._sums.items()}
+        return {agent: sums[:, 0] for agent, sums in self._sums.items()}
 
     def start(self, row: int) -> None:
         """Start the episode with index `row`, whose first state has been observed."""
@@ -55,28 +51,18 @@ class RewardSums:
         names = self._source.start(rows, self._make_step_data(rows, start_transitions))
         if not self._sums:
             self._names = {agent: list(own) for agent, own in names.items()}
-            self._sums = {
-                agent: self._arrays.zeros((self._count, 2, 1 + len(own))) for agent, own in self._names.items()
-            }
-        for sums in self._sums.values():
-            sums[row] = 0.0
+            self._sums = {agent: self._arrays.zeros((self._count, 1 + len(own))) for agent, own in self._names.items()}
+        self.clear(rows)
 
-    def make_infos(self, agent: str, rows: AnyIndices, has_returns: bool) -> dict[str, AnyArray]:
-        """Return the infos of an agent in the episodes `rows`: arrays (r,) of the reward terms by key.
-
-        With `has_returns` they include the sums since the starts of the episodes, see `EpisodeReturns`.
-        """
-        names, sums = self._names[agent], self._sums[agent][rows]
-        infos = {f"{REWARD_PREFIX}{name}": sums[:, _SINCE_CLEAR, 1 + number] for number, name in enumerate(names)}
-        if has_returns:
-            infos[RETURN] = sums[:, _SINCE_START, 0]
-            infos |= {f"{RETURN_PREFIX}{name}": sums[:, _SINCE_START, 1 + number] for number, name in enumerate(names)}
-        return infos
+    def make_infos(self, agent: str, rows: AnyIndices) -> dict[str, AnyArray]:
+        """Return the infos of an agent in the episodes `rows`: arrays (r,) of the reward terms by key."""
+        sums = self._sums[agent][rows]
+        return {f"{REWARD_PREFIX}{name}": sums[:, 1 + number] for number, name in enumerate(self._names[agent])}
 
     def clear(self, rows: AnyIndices) -> None:
         """Set the sums `totals` of the episodes `rows` to 0."""
         for sums in self._sums.values():
-            sums[rows, _SINCE_CLEAR] = 0.0
+            sums[rows] = 0.0
 
     def add(self, rows: AnyIndices, actions: Mapping[str, AnyArray], terminated: AnyArray, truncated: AnyArray) -> None:
         """Add the rewards of a control step of the episodes `rows` (r,), whose states after it have been observed.
@@ -89,7 +75,7 @@ class RewardSums:
         for agent, terms in self._source.compute(rows, self._make_step_data(rows, record)).items():
             columns = [terms[name] for name in self._names[agent]]
             total = sum(columns, self._arrays.zeros(len(rows)))
-            self._sums[agent][rows] += self._arrays.xp.stack([total, *columns], axis=1)[:, None]
+            self._sums[agent][rows] += self._arrays.xp.stack([total, *columns], axis=1)
 
     def _make_step_data(self, rows: AnyIndices, make_transitions: Callable[[], list[Transition]]) -> StepData:
         status, read_state = self._episodes.referees.status[rows], functools.partial(self._read_state, rows)

@@ -19,7 +19,7 @@ from handover_marl.envs.vector.env_groups import GroupedEnvs, ProcessEnvs, Singl
 from handover_marl.envs.vector.parallel_vector_env import ParallelVectorEnv
 from handover_marl.envs.wrappers.control_agent import FixedPartnerEnv, control_agent
 from handover_marl.envs.wrappers.encode import EncodedEnv, encode
-from handover_marl.envs.wrappers.wrapper import EpisodeReturns, WrappableEnv, check_env, list_wrappers
+from handover_marl.envs.wrappers.wrapper import WrappableEnv, check_env, list_wrappers
 from handover_marl.episode.spaces import FULL_POINTCLOUD, STATE, parse_obs_mode
 from handover_marl.errors import HandoverError, OptionError, check_name
 from handover_marl.execution.options import check_positive_integer, count_available_cores, forward_signature
@@ -151,8 +151,8 @@ def vector_env(
             mapping by agent for both agents.
         wrappers: Functions or classes that wrap each environment by a
             `pettingzoo.utils.BaseParallelWrapper`, the innermost first; the wrapped environment has both
-            agents, their observations and actions as the environment defines them. With wrappers other
-            than `EpisodeReturns`, environments are stepped one after another.
+            agents, their observations and actions as the environment defines them. With wrappers,
+            environments are stepped one after another.
         autoreset: Gymnasium's mode of the reset after an episode's end: "next_step", "same_step" or
             "disabled".
         threads: Number of simulation threads; default: one per core, without processes.
@@ -254,8 +254,8 @@ def _cache_scenes(template: WrappableEnv) -> Callable[[int], Scene]:
 def _can_use_arrays(template: WrappableEnv, backend: str) -> bool:
     """Return whether `ArrayEnvs` can simulate the environments together.
 
-    Arrays need MuJoCo's physics, no wrappers but `EpisodeReturns`, `control_agent` and `encode` in this order, and
-    either no camera, or "warp" with a camera that passes `_check_device`.
+    Arrays need MuJoCo's physics, no wrappers but `control_agent` and `encode` in this order, and either no camera,
+    or "warp" with a camera that passes `_check_device`.
     """
     config = template.unwrapped.config
     if config.physics != MUJOCO or config.render_mode is not None:
@@ -266,7 +266,7 @@ def _can_use_arrays(template: WrappableEnv, backend: str) -> bool:
     if any(isinstance(env, FixedPartnerEnv) and env.policy.obs_mode != STATE for env in wrappers):
         return False
     kinds = [type(env) for env in wrappers]
-    return kinds == [kind for kind in (EncodedEnv, FixedPartnerEnv, EpisodeReturns) if kind in kinds]
+    return kinds == [kind for kind in (EncodedEnv, FixedPartnerEnv) if kind in kinds]
 
 
 def _check_device(template: WrappableEnv, uses_arrays: bool) -> None:
@@ -302,8 +302,8 @@ def _check_device(template: WrappableEnv, uses_arrays: bool) -> None:
             raise OptionError(f"cameras with backend='warp' need {need}; use backend='threads'")
     if not uses_arrays:
         raise OptionError(
-            "with backend='warp', environments must have physics='mujoco', render_mode=None and no wrappers but "
-            "EpisodeReturns; use backend='threads'"
+            "with backend='warp', environments must have physics='mujoco', render_mode=None and no wrappers; use "
+            "backend='threads'"
         )
 
 

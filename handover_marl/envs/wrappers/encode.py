@@ -5,7 +5,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from gymnasium import spaces
 from gymnasium.utils import EzPickle
 
@@ -20,16 +19,16 @@ from handover_marl.envs.wrappers.wrapper import (
     WrappableEnv,
     convert_api,
 )
-from handover_marl.episode.observations import Observation
+from handover_marl.episode.observations import Observation, add_episode_axis
 from handover_marl.episode.spaces import check_vector, has_state
 from handover_marl.errors import OptionError, ResetNeededError
-from handover_marl.learning.action_scheme import RawScheme
+from handover_marl.geometry.arrays import ONLY_ROW
+from handover_marl.learning.action_scheme import ArrayScheme, RawScheme
+from handover_marl.learning.array_features import ArrayFeatures
 from handover_marl.learning.custom_encodings import FeaturesLike, SchemeLike, is_reference
-from handover_marl.learning.features import make_features
+from handover_marl.learning.encodings import make_array_features, make_array_scheme
+from handover_marl.learning.grasp_selector import LowestCostGraspSelector
 from handover_marl.learning.policy_spec import OBSERVATION
-from handover_marl.learning.schemes import make_scheme
-
-Vector = npt.NDArray[np.float32]
 
 DEFAULT_FEATURES = {GIVER: "giver", RECEIVER: "receiver"}
 DEFAULT_SCHEMES = {GIVER: "deviation", RECEIVER: "cartesian_delta"}
@@ -69,17 +68,18 @@ class EncodedEnv(ParallelWrapper):
         base = self.unwrapped
         if RECEIVER in agents:
             _check_state(base.config.obs_mode, chosen_features[RECEIVER], chosen_schemes[RECEIVER])
-        context = base.policy_context
         self.choices = {agent: (chosen_features[agent], chosen_schemes[agent]) for agent in agents}
-        self._features = {
-            agent: make_features(agent, choice, context)
-            for agent, choice in chosen_features.items()
-            if choice != OBSERVATION
-        }
-        self._schemes = {agent: make_scheme(agent, choice, context) for agent, choice in chosen_schemes.items()}
+        self._features: dict[str, ArrayFeatures] = {}
+        self._schemes: dict[str, ArrayScheme] = {}
+        context = base.policy_context
+        selector = LowestCostGraspSelector(context, 1)
+        for agent in agents:
+            if chosen_features[agent] != OBSERVATION:
+                self._features[agent] = make_array_features(agent, chosen_features[agent], context, selector, 1)
+            self._schemes[agent] = make_array_scheme(agent, chosen_schemes[agent], context, selector, 1)
         self._output_spaces: dict[str, Any] = {
             agent: copy.deepcopy(env.action_space(agent))
-            if isinstance(made.scheme, RawScheme)
+            if isinstance(made, RawScheme)
             else spaces.Box(-1.0, 1.0, (made.size,), np.float32)
             for agent, made in self._schemes.items()
         }
@@ -92,8 +92,10 @@ class EncodedEnv(ParallelWrapper):
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
         """Return the space of the agent's feature vector, or of its observation with the features `observation`."""
+        if agent in self._features:
+            return spaces.Box(-np.inf, np.inf, (self._features[agent].size,), np.float32)
         space: spaces.Space[Any] = self.env.observation_space(agent)
-        return self._features[agent].space if agent in self._features else space
+        return space
 
     def action_space(self, agent: str) -> spaces.Box:
         """Return the space of the network outputs that the agent's action scheme decodes.
@@ -106,8 +108,8 @@ class EncodedEnv(ParallelWrapper):
     def _compute_features(self) -> ByAgent:
         """Return the features (m,) of the last observation of each agent; observations of agents without features."""
         return {
-            agent: self._features[agent](observation) if agent in self._features else observation
-            for agent, observation in self._observations.items()
+            agent: self._features[agent](ONLY_ROW, add_episode_axis(own))[0] if agent in self._features else own
+            for agent, own in self._observations.items()
         }
 
     def reset(self, seed: int | None = None, options: ByAgent | None = None) -> tuple[ByAgent, ByAgent]:
@@ -118,10 +120,10 @@ class EncodedEnv(ParallelWrapper):
         for attempt in range(MAX_EPISODES_WITHOUT_OUTPUTS):
             self._observations, infos = self.env.reset(seed=seed if attempt == 0 else None, options=options)
             for scheme in self._schemes.values():
-                scheme.reset()
+                scheme.reset(0)
             for features in self._features.values():
-                features.reset()
-            while len(self.possible_agents) == 1 and self.agents and not self._needs_outputs():
+                features.reset(0)
+            while self._can_skip():
                 self._observations, _, _, _, infos = self._advance()
             if self.agents:
                 return self._compute_features(), infos
@@ -146,10 +148,10 @@ class EncodedEnv(ParallelWrapper):
             for agent in self.agents
         }
         for agent, scheme in self._schemes.items():
-            if scheme.needs_outputs(self._observations[agent]):
-                scheme.set_outputs(outputs[agent])
+            if self._needs_outputs(agent):
+                scheme.set_outputs(ONLY_ROW, outputs[agent][None])
         self._observations, rewards, terminations, truncations, infos = self._advance()
-        while len(self.possible_agents) == 1 and self.agents and not self._needs_outputs():
+        while self._can_skip():
             before = infos
             self._observations, more, terminations, truncations, infos = self._advance()
             rewards = {agent: rewards[agent] + more[agent] for agent in rewards}
@@ -159,13 +161,19 @@ class EncodedEnv(ParallelWrapper):
         return self._compute_features(), rewards, terminations, truncations, infos
 
     def _advance(self) -> ParallelStep:
-        step: ParallelStep = self.env.step(
-            {agent: scheme.compute_action(self._observations[agent]) for agent, scheme in self._schemes.items()}
-        )
+        actions = {
+            agent: scheme.compute_actions(ONLY_ROW, add_episode_axis(self._observations[agent]))[0]
+            for agent, scheme in self._schemes.items()
+        }
+        step: ParallelStep = self.env.step(actions)
         return step
 
-    def _needs_outputs(self) -> bool:
-        return any(scheme.needs_outputs(self._observations[agent]) for agent, scheme in self._schemes.items())
+    def _needs_outputs(self, agent: str) -> bool:
+        return bool(self._schemes[agent].needs_outputs(ONLY_ROW, add_episode_axis(self._observations[agent]))[0])
+
+    def _can_skip(self) -> bool:
+        """Return whether the next control period of the only agent's running episode needs no outputs."""
+        return len(self.possible_agents) == 1 and bool(self.agents) and not self._needs_outputs(self.agents[0])
 
 
 def encode(

@@ -9,25 +9,24 @@ from typing import Any
 
 import numpy as np
 
-from handover_marl.episode.loop import steps_from_hold_time
-from handover_marl.episode.observations import Observation, add_episode_axis
+from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import check_vector
 from handover_marl.errors import OptionError
-from handover_marl.geometry.arrays import NUMPY_ARRAYS, ONLY_ROW, AnyArray, AnyIndices, ArrayFactory, to_numpy
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, ArrayFactory, to_numpy
 from handover_marl.learning.array_features import ArrayFeatures
 from handover_marl.learning.custom_encodings import CustomScheme
-from handover_marl.learning.features import list_features, make_array_features
+from handover_marl.learning.encodings import list_features, make_array_features, make_array_scheme
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
 from handover_marl.learning.offers import OFFER_FEATURES
 from handover_marl.learning.policy_files import read_policy
 from handover_marl.learning.policy_spec import OBSERVATION, DenseNetwork, PolicySpec
-from handover_marl.learning.schemes import make_array_scheme
-from handover_marl.policies.policy import Action, Policy, PolicyContext, milliseconds_from_wait
+from handover_marl.policies.batch import ArrayPolicy
+from handover_marl.policies.policy import PolicyContext, milliseconds_from_wait
 
 _MEANING = "as its action scheme decodes"
 
 
-class FunctionPolicy(Policy):
+class FunctionPolicy(ArrayPolicy):
     """Policy that encodes observations, evaluates a function or a network, and decodes its outputs.
 
     Args:
@@ -59,7 +58,7 @@ class FunctionPolicy(Policy):
         self.name = name  # type: ignore[misc]
         self.obs_mode, self._label, self._digest = spec.obs_mode, label, digest
         self.function, self.spec, self._wait = function, spec, wait
-        self._allocate(1, NUMPY_ARRAYS)
+        self.allocate(1, NUMPY_ARRAYS)
         if isinstance(function, DenseNetwork):
             n_inputs = function.n_inputs if self._features is None else self._features.size
             if (function.n_inputs, function.n_outputs) != (n_inputs, self.scheme.size):
@@ -70,7 +69,7 @@ class FunctionPolicy(Policy):
         if isinstance(function, TorchFunction) and self._features is not None:
             self._check_module(function, self._features.size)
 
-    def _allocate(self, count: int, arrays: ArrayFactory) -> None:
+    def allocate(self, count: int, arrays: ArrayFactory) -> None:
         """Create features and action scheme for `count` episodes, in arrays that `arrays` creates."""
         agent, features, actions = self.spec.agent, self.spec.features, self.spec.actions
         self._arrays, selector = arrays, LowestCostGraspSelector(self.context, count, arrays)
@@ -109,7 +108,7 @@ class FunctionPolicy(Policy):
     def is_batchable(self) -> bool:
         """Whether `copy_for` works: for dense networks with built-in features and action scheme."""
         is_own = self.spec.features not in list_features(self.spec.agent) or isinstance(self.scheme, CustomScheme)
-        return isinstance(self.function, DenseNetwork) and not is_own and type(self).act is FunctionPolicy.act
+        return isinstance(self.function, DenseNetwork) and not is_own and super().is_batchable
 
     def copy_for(self, count: int, arrays: ArrayFactory) -> "FunctionPolicy":
         """Return a policy with the same network for `count` episodes, see `ArrayPolicy`.
@@ -117,31 +116,18 @@ class FunctionPolicy(Policy):
         Actions equal those of single policies to the bit and do not depend on the other episodes of the batch. For
         PyTorch tensors, they equal those of single policies to 1e-5.
         """
-        policy, function = copy.copy(self), self.function
-        assert isinstance(function, DenseNetwork)
-        policy.function = function.copy_to(arrays)
-        policy._allocate(count, arrays)
+        policy = copy.copy(self)
+        assert isinstance(self.function, DenseNetwork)
+        policy.function = self.function.copy_to(arrays)
+        policy.allocate(count, arrays)
         return policy
 
-    def reset(self, seed: int | None = None) -> None:
-        """Start an episode: forget the last one, and call the method `reset(seed)` of the function if it has one."""
-        self.start(0, seed)
-
     def start(self, row: int, seed: int | None) -> None:
-        """Start the episode with index `row`, see `reset`."""
+        """Start the episode with index `row`, and call the method `reset(seed)` of the function if it has one."""
         self.scheme.reset(row)
         if self._features is not None:
             self._features.reset(row)
         reset_function(self.function, seed)
-
-    def act(self, observation: Observation) -> Action:
-        """Return the action, (8,) of a giver or (9,) of a receiver; evaluate the function if the scheme needs it."""
-        action: Action = self.decide(ONLY_ROW, add_episode_axis(observation))[0]
-        return action
-
-    def count_hold_steps(self, rows: AnyIndices) -> int:
-        """Return the number of physics steps for which actions are held, the same in all episodes."""
-        return steps_from_hold_time(self.hold_time)
 
     def decide(self, rows: AnyIndices, observation: Observation) -> AnyArray:
         """Return actions (r, 8) or (r, 9) of the episodes with indices `rows`; evaluate the function where needed."""

@@ -8,6 +8,7 @@ from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.vec_env import VecEnv
 
 from handover_marl.envs.vector.vector_env import HandoverVectorEnv
+from handover_marl.envs.wrappers.wrapper import REWARD_PREFIX
 from handover_marl.errors import OptionError
 from handover_marl.learning.training.run_folder import spawn_seeds
 
@@ -52,11 +53,13 @@ class BatchVecEnv(VecEnv):
         """Step all n environments; return observations (n, ...), rewards (n,), whether episodes ended, (n,), and infos.
 
         Where an episode ended, the observation is the first one of the next episode, and the info is that of the last
-        step, with its observation as `terminal_observation` and with `TimeLimit.truncated`.
+        step, with its observation as `terminal_observation` and with `TimeLimit.truncated`. Other infos have the reward
+        terms only.
         """
         observations, rewards, terminations, truncations, infos = self._envs.step(self._actions)
         ended = terminations | truncations
-        step_infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        terms = [key for key in infos if key.startswith(REWARD_PREFIX)]
+        step_infos = [{key: infos[key][number] for key in terms} for number in range(self.num_envs)]
         for number in np.flatnonzero(ended).tolist():
             final = {key: value[number] for key, value in infos["final_info"].items() if not key.startswith("_")}
             step_infos[number] = {

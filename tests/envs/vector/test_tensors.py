@@ -21,7 +21,6 @@ from handover_marl.datasets.dataset import Scene
 from handover_marl.envs.custom_rewards import combine_rewards
 from handover_marl.envs.transition import Transition
 from handover_marl.envs.vector.batch import check_action_array
-from handover_marl.envs.wrappers.wrapper import EpisodeReturns
 from handover_marl.episode import episodes
 from handover_marl.errors import ActionError
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, make_tensor_factory, to_numpy
@@ -167,7 +166,7 @@ def compare(request: pytest.FixtureRequest, steps: int, agent: str | None, optio
         # The partner decides within the control periods of the environments.
         (
             "receiver",
-            {"partner": "noisy", "control_period": 0.13, "autoreset": "same_step", "wrappers": [EpisodeReturns]},
+            {"partner": "noisy", "control_period": 0.13, "autoreset": "same_step"},
         ),
         ("giver", {"partner": "yang2021:wait=0.2", "autoreset": "next_step", "rewards": "sparse"}),
         (None, {"autoreset": "same_step"}),

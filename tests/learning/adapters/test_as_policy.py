@@ -13,8 +13,7 @@ import handover_marl
 from handover_marl import receivers
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import HandoverError
-from handover_marl.learning.features import make_features
-from handover_marl.learning.schemes import make_scheme
+from handover_marl.learning.encodings import make_scheme
 from handover_marl.policies.policy import Policy, make_policy_context
 from handover_marl.policies.reference import PolicyReference
 from tests.givers.test_givers import seen
@@ -24,6 +23,7 @@ torch = pytest.importorskip("torch", reason="needs the extra `train`")
 from tests.evaluation.quick import SHORT  # noqa: E402
 from tests.learning.adapters import networks  # noqa: E402
 from tests.learning.adapters.networks import CHOICES, Counting, DictModule, NoisyModule, make_net, stay  # noqa: E402
+from tests.learning.array_encodings import SingleFeatures  # noqa: E402
 
 DATA = SyntheticDataset()
 JOINTS = seen()["robot_joint_position"]
@@ -60,7 +60,7 @@ def test_modules_act_as_before_later_training(agent: str) -> None:
     net, choice, context = make_net(agent).to(torch.float64), CHOICES[agent], make_policy_context(DATA)
     reference = adapt(agent, net, **choice, control_period=0.2)
     scheme = make_scheme(agent, choice["action_scheme"], context)
-    inputs = torch.from_numpy(make_features(agent, choice["features"], context)(seen()))[None].double()
+    inputs = torch.from_numpy(SingleFeatures(agent, choice["features"], context)(seen()))[None].double()
     with torch.no_grad():
         scheme.set_outputs(net(inputs)[0].float().numpy())
         net[0].weight += 1.0
