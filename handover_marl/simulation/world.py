@@ -25,7 +25,7 @@ from handover_marl.simulation.camera.renderers import check_rendering
 from handover_marl.simulation.reference_tracking import ReferenceMotion
 
 if TYPE_CHECKING:
-    from typing_extensions import Self
+    from typing import Self
 
     from handover_marl.simulation.bullet.rendering import SceneRenderer
 

@@ -3,12 +3,9 @@
 from dataclasses import replace
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
-
-pytest.importorskip("mujoco")
-
-import mujoco
 
 from handover_marl.config import PhysicsConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
