@@ -12,6 +12,7 @@ from embreex.rtcore_scene import EmbreeScene
 from scipy.spatial.transform import Rotation
 
 from handover_marl.errors import SimulationError
+from handover_marl.execution.reading import cached_by_file
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.model_files.meshes import read_visual_meshes
 from handover_marl.geometry.model_files.surfaces import Surface, read_surfaces
@@ -153,11 +154,9 @@ def load_ray_body(urdf: Path, label: SegmentationLabel, base: tuple[float, ...] 
     `base` (7,) is the world pose of the base link: xyz (m), quaternion xyzw.
     """
     try:
-        return _load_ray_body(urdf, read_model_mtimes(urdf), label, base)
+        return _load_ray_body(urdf, label, base)
     except OSError as error:
         raise SimulationError(f"{urdf}: cannot read this model ({error.strerror or error}); check the file") from error
 
 
-@functools.lru_cache(maxsize=64)
-def _load_ray_body(urdf: Path, changed: tuple[int, ...], label: SegmentationLabel, base: tuple[float, ...]) -> RayBody:
-    return RayBody(urdf, label, base)
+_load_ray_body = cached_by_file(64, read_model_mtimes)(RayBody)
