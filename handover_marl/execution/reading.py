@@ -12,7 +12,7 @@ import stat
 import zipfile
 from collections.abc import Callable, Hashable, Iterator
 from pathlib import Path
-from typing import Any, Concatenate, ParamSpec, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -21,9 +21,7 @@ import yaml
 from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverError, UnsafeFileError
 from handover_marl.execution.files import shorten_text
 
-_First = TypeVar("_First")
-_Others = ParamSpec("_Others")
-_Result = TypeVar("_Result")
+_Function = TypeVar("_Function", bound=Callable[..., Any])
 
 #: Largest accepted size of a file of data or weights without a limit of its own (bytes).
 MAX_FILE_BYTES = 500_000_000
@@ -40,24 +38,22 @@ def read_mtime(path: Path | str) -> int:
 
 def cached_by_file(
     maxsize: int | None, read_version: Callable[[Any], Hashable] = read_mtime
-) -> Callable[[Callable[Concatenate[_First, _Others], _Result]], Callable[Concatenate[_First, _Others], _Result]]:
+) -> Callable[[_Function], _Function]:
     """Return a decorator that caches the last `maxsize` results of a function until the file that it reads changes.
 
     The file is the function's first argument; `read_version` reads its version, by default its modification time.
     """
 
-    def decorate(
-        function: Callable[Concatenate[_First, _Others], _Result],
-    ) -> Callable[Concatenate[_First, _Others], _Result]:
+    def decorate(function: _Function) -> _Function:
         @functools.lru_cache(maxsize)
-        def call(version: Hashable, first: _First, *args: _Others.args, **keywords: _Others.kwargs) -> _Result:
-            return function(first, *args, **keywords)
+        def call(version: Hashable, *args: Any, **keywords: Any) -> Any:
+            return function(*args, **keywords)
 
         @functools.wraps(function)
-        def call_cached(first: _First, *args: _Others.args, **keywords: _Others.kwargs) -> _Result:
-            return call(read_version(first), first, *args, **keywords)
+        def call_cached(file: Any, *args: Any, **keywords: Any) -> Any:
+            return call(read_version(file), file, *args, **keywords)
 
-        return call_cached
+        return cast(_Function, call_cached)
 
     return decorate
 

@@ -98,12 +98,7 @@ def decompose_convex(vertices: Array, faces: Faces, concavity: float = 0.05) -> 
     return parts
 
 
-def _read_checked_mtimes(urdf: Path) -> tuple[int, ...]:
-    with report_damage(urdf, "model", "check the file"):
-        return read_model_mtimes(urdf)
-
-
-@cached_by_file(256, _read_checked_mtimes)
+@cached_by_file(256, read_model_mtimes)
 def check_collision_meshes(urdf: Path) -> None:
     """Check that a URDF model's collision meshes are neither empty nor flat, with finite vertices.
 

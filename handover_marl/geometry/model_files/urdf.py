@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.errors import SimulationError
-from handover_marl.execution.reading import cached_by_file, read_mtime, read_plain_file
+from handover_marl.execution.reading import cached_by_file, read_mtime, read_plain_file, report_damage
 from handover_marl.geometry.kinematic_tree import KinematicTree, matrix_from_rpy
 from handover_marl.geometry.model_files.urdf_xml import MAX_URDF_BYTES, parse_urdf, read_attribute
 from handover_marl.geometry.rotations import quaternions_from_matrices
@@ -108,7 +108,8 @@ def list_mesh_references(urdf: Path) -> list[tuple[str, Path]]:
 
 def read_model_mtimes(urdf: Path) -> tuple[int, ...]:
     """Return the modification times (ns) of a URDF file and its mesh files; 0 for missing meshes."""
-    return (urdf.stat().st_mtime_ns, *map(read_mtime, _list_meshes(urdf)))
+    with report_damage(urdf, "model", "check the file"):
+        return (urdf.stat().st_mtime_ns, *map(read_mtime, _list_meshes(urdf)))
 
 
 @cached_by_file(maxsize=256)

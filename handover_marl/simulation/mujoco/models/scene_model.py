@@ -128,10 +128,7 @@ def _read_scene_mtimes(assets: SceneAssets) -> tuple[tuple[int, ...], ...]:
 
 
 def _read_mtimes(files: tuple[Path, ...]) -> tuple[tuple[int, ...], ...]:
-    try:
-        return tuple(read_model_mtimes(urdf) for urdf in files)
-    except OSError as error:
-        raise SimulationError(f"{error.filename}: cannot read this model ({error.strerror or error})") from error
+    return tuple(map(read_model_mtimes, files))
 
 
 @cached_by_file(CACHE_SIZE, _read_scene_mtimes)
