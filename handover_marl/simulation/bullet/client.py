@@ -116,11 +116,7 @@ class BulletClient:
 
 
 def connect(window: bool = False) -> BulletClient:
-    """Start a physics server in this process and return its client.
-
-    Args:
-        window: Whether to show the simulation in PyBullet's window, without its side panels.
-    """
+    """Start a physics server in this process, by choice with PyBullet's `window`, and return its client."""
     if not window:
         return BulletClient(pybullet.DIRECT)
     if sys.platform.startswith("linux"):
@@ -152,13 +148,7 @@ def _require_screen() -> None:
 
 
 def load_urdf(client: BulletClient, path: Path | str, **options: object) -> int:
-    """Load a model file and return the PyBullet body number.
-
-    Args:
-        client: Physics client.
-        path: URDF file.
-        options: Keyword arguments of PyBullet's `loadURDF`.
-    """
+    """Load a URDF file with PyBullet's `loadURDF` and its keyword arguments; return the body number."""
     urdf = Path(path)
     # A missing file may still be in PyBullet's own data folder.
     with contextlib.suppress(OSError):
