@@ -8,7 +8,6 @@ from tests.helpers.setup_file import ROOT, list_supported, read_setup
 
 #: Packages of physics engines that the library needs, by version of Python.
 ENGINES = {
-    "3.10": ["pybullet"],
     "3.11": ["pybullet", "mujoco"],
     "3.12": ["pybullet-arm64", "mujoco"],
     "3.13": ["pybullet-arm64", "mujoco"],

@@ -54,7 +54,6 @@ from handover_marl.receivers.reactive.grasps import (
     get_validation_record,
     get_validation_record_path,
 )
-from handover_marl.simulation.engines import make_grasp_validator
 
 Array = npt.NDArray[np.float64]
 
@@ -176,7 +175,9 @@ def make_robot_grasps(
 
 
 def _make_validation(urdf: Path) -> Callable[[tuple[int, Array]], list[bool]]:
-    validator = make_grasp_validator(urdf)
+    from handover_marl.simulation.mujoco.grasp_validation import GraspValidator
+
+    validator = GraspValidator(urdf)
 
     def validate(task: tuple[int, Array]) -> list[bool]:
         return [bool(validator.is_collision_free(grasp) and validator.is_stable(grasp)) for grasp in task[1]]

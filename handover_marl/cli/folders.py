@@ -242,9 +242,8 @@ def check_installation() -> list[Finding]:
     machine = f"Python {platform.python_version()}, {platform.system()} {platform.machine()}"
     findings = [("ok", "library", f"handover_marl {__version__}, {machine}")]
     available = list_available_physics()
-    text = ", ".join(available) or "none; install PyBullet (Python up to 3.13) or MuJoCo (Python from 3.11)"
-    findings.append(("ok" if available else _FAULT, "physics", text))
-    if available and EXACT not in available:
+    findings.append(("ok", "physics", ", ".join(available)))
+    if EXACT not in available:
         text = "exact and fast need PyBullet, which has wheels up to Python 3.13; use --physics mujoco"
         findings.append(("note", "physics", text))
     missing: dict[str, list[str]] = {extra: [] for extra in metadata(_DISTRIBUTION).get_all("Provides-Extra", [])}

@@ -5,12 +5,14 @@ may never end; files and archives that are too large are refused before they are
 """
 
 import contextlib
+import functools
 import io
+import os
 import stat
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Hashable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -19,9 +21,41 @@ import yaml
 from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverError, UnsafeFileError
 from handover_marl.execution.files import shorten_text
 
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+
 #: Largest accepted size of a file of data or weights without a limit of its own (bytes).
 MAX_FILE_BYTES = 500_000_000
 _MAX_ARCHIVE_OVERHEAD = 1_000_000  # bytes that an archive may have beyond its contents
+
+
+def read_mtime(path: Path | str) -> int:
+    """Return the modification time of a file (ns); 0 if it cannot be read."""
+    try:
+        return os.stat(path).st_mtime_ns  # noqa: PTH116 (faster than Path.stat)
+    except (OSError, ValueError):
+        return 0
+
+
+def cached_by_file(
+    maxsize: int | None, read_version: Callable[[Any], Hashable] = read_mtime
+) -> Callable[[_Function], _Function]:
+    """Return a decorator that caches the last `maxsize` results of a function until the file that it reads changes.
+
+    The file is the function's first argument; `read_version` reads its version, by default its modification time.
+    """
+
+    def decorate(function: _Function) -> _Function:
+        @functools.lru_cache(maxsize)
+        def call(version: Hashable, *args: Any, **keywords: Any) -> Any:
+            return function(*args, **keywords)
+
+        @functools.wraps(function)
+        def call_cached(file: Any, *args: Any, **keywords: Any) -> Any:
+            return call(read_version(file), file, *args, **keywords)
+
+        return cast(_Function, call_cached)
+
+    return decorate
 
 
 def check_plain_file(path: Path, largest: int = MAX_FILE_BYTES) -> int:

@@ -1,6 +1,5 @@
 """Signed distance fields (SDFs) on voxel grids, and a cache of the fields of object models."""
 
-import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from handover_marl.execution.reading import cached_by_file
 from handover_marl.geometry.array_cache import Arrays, get_cache_path, load_cached_arrays, save_cached_arrays
 from handover_marl.geometry.model_files.meshes import read_collision_mesh
 
@@ -99,17 +99,13 @@ def _differentiate_trilinear(corners: Floats, fraction: Floats) -> Floats:
     return np.stack(gradient)
 
 
+@cached_by_file(maxsize=32)
 def load_object_sdf(urdf: Path, margin: float) -> DistanceField:
     """Load the signed distance field of an object's collision shapes from the cache, or compute and cache it.
 
     The field is in the frame of the link that has the shapes, which may overlap and have holes. The grid extends
     `margin` (m) beyond the shapes.
     """
-    return _load_object_sdf(urdf, urdf.stat().st_mtime_ns, margin)
-
-
-@functools.lru_cache(maxsize=32)
-def _load_object_sdf(urdf: Path, changed: int, margin: float) -> DistanceField:
     path = get_cache_path(CACHE_KIND, urdf, f"{_VERSION} {_CELL} {margin}".encode())
     arrays = load_cached_arrays(path, ("values", "lower", "cell"), "distance field")
     if arrays is not None:

@@ -3,7 +3,6 @@
 Links are numbered as Bullet numbers them. Quaternions are xyzw.
 """
 
-import functools
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from handover_marl.errors import OptionError, SimulationError
+from handover_marl.execution.reading import cached_by_file
 from handover_marl.geometry.arrays import AnyArray, ArrayFactory, RowBank, get_namespace, make_constant
 from handover_marl.geometry.model_files.urdf_xml import parse_urdf, read_attribute
 from handover_marl.geometry.poses import IDENTITY, transform_points
@@ -175,17 +175,13 @@ def compute_tree_frames(
     return origins, rotations
 
 
+@cached_by_file(maxsize=None)
 def read_tree(urdf: Path) -> KinematicTree:
     """Read the kinematic tree of a URDF file; an unchanged file is read once."""
     try:
-        return _read_tree(urdf, urdf.stat().st_mtime_ns)
+        return KinematicTree(_read_joints(parse_urdf(urdf)))
     except (OSError, ValueError, KeyError, AttributeError) as error:
         raise SimulationError(f"{urdf}: cannot read this model ({error}); check the file") from error
-
-
-@functools.cache
-def _read_tree(urdf: Path, changed: int) -> KinematicTree:
-    return KinematicTree(_read_joints(parse_urdf(urdf)))
 
 
 def _read_joints(robot: ET.Element) -> list[TreeJoint]:

@@ -164,10 +164,6 @@ class ThreadIkSolver(IkSolver):
     Solutions do not depend on earlier queries, so policies that share a solver get the same solutions as with one
     each. Queries without solution are remembered: a search that does not converge takes a hundred times as long as
     others, and a receiver whose arm does not move repeats it.
-
-    Args:
-        urdf: Model of the Panda.
-        config: Configuration with the world pose of the robot's base.
     """
 
     def __init__(self, urdf: Path, config: PandaConfig) -> None:

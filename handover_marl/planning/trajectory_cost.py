@@ -1,6 +1,5 @@
 """Obstacle costs of trajectories and their gradients (CHOMP; Zucker et al., 2013)."""
 
-import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from handover_marl.execution.reading import cached_by_file
 from handover_marl.geometry.arm import ArmKinematics, LinkFrames, transform_body_points
 from handover_marl.geometry.distance_field import DistanceField
 from handover_marl.geometry.model_files.meshes import find_farthest_points, read_link_vertices
@@ -23,17 +23,13 @@ _EPSILON = 1e-8
 WAYPOINT_PERIOD = 0.1
 
 
+@cached_by_file(maxsize=None)
 def sample_body_points(urdf: Path, link_names: tuple[str, ...], count: int) -> tuple[Array, ...]:
     """Return `count` vertices (count, 3) in m of the visual mesh of each named link, in the frame of that link.
 
     Vertices are selected by farthest point sampling, so that finely meshed details do not attract
     most of the points as they do in random sampling.
     """
-    return _cached_body_points(urdf, urdf.stat().st_mtime_ns, link_names, count)
-
-
-@functools.cache
-def _cached_body_points(urdf: Path, changed: int, link_names: tuple[str, ...], count: int) -> tuple[Array, ...]:
     sampled = []
     for vertices in read_link_vertices(urdf, "visual", list(link_names)):
         center = (vertices.min(axis=0) + vertices.max(axis=0)) / 2.0

@@ -1,21 +1,15 @@
-"""Physics engines by name: creation of worlds, distance queries and grasp validators."""
+"""Physics engines by name: creation of worlds and distance queries."""
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from handover_marl.assets.shipped import PANDA_URDF
 from handover_marl.config import PandaConfig, PhysicsConfig
 from handover_marl.errors import OptionError, check_name
-from handover_marl.execution.options import is_installed, is_pybullet_installed, require_modules, require_pybullet
+from handover_marl.execution.options import is_pybullet_installed, require_modules, require_pybullet
 from handover_marl.geometry.arrays import ArrayFactory
 from handover_marl.simulation.distance_queries import DistanceQuery
-from handover_marl.simulation.grasp_validation import GraspValidationConfig
 from handover_marl.simulation.world import World
 from handover_marl.simulation.worlds import HostWorlds, Worlds
-
-if TYPE_CHECKING:
-    from handover_marl.simulation.mujoco.grasp_validation import GraspValidator
 
 EXACT, FAST, MUJOCO = "exact", "fast", "mujoco"
 #: "exact" equals HandoverSim's PyBullet simulation bit for bit; "fast" is PyBullet that simulates hand and objects only
@@ -33,16 +27,13 @@ DEVICES = (CPU, CUDA)
 def check_physics(physics: str) -> None:
     """Check that a kind of physics exists and its engine is installed."""
     check_name("physics", physics, PHYSICS)
-    if physics == MUJOCO:
-        _require_mujoco("physics='mujoco'", "take physics='fast'")
-        return
-    require_pybullet(f"physics={physics!r}", "take physics='mujoco' (--physics mujoco)")
+    if physics != MUJOCO:
+        require_pybullet(f"physics={physics!r}", "take physics='mujoco' (--physics mujoco)")
 
 
 def list_available_physics() -> tuple[str, ...]:
     """Return the names of the kinds of physics whose engines are installed."""
-    installed = {EXACT: is_pybullet_installed(), FAST: is_pybullet_installed(), MUJOCO: is_installed("mujoco")}
-    return tuple(name for name in PHYSICS if installed[name])
+    return PHYSICS if is_pybullet_installed() else (MUJOCO,)
 
 
 def make_world(physics: str, config: PhysicsConfig, window: bool = False) -> World:
@@ -54,7 +45,7 @@ def make_world(physics: str, config: PhysicsConfig, window: bool = False) -> Wor
         window: Whether to show the world in a window.
     """
     check_physics(physics)
-    # Engines are imported only when they are used: each is optional.
+    # Engines are imported only when they are used: PyBullet is optional, and both take long.
     if physics == MUJOCO:
         from handover_marl.simulation.mujoco.world import MujocoWorld
 
@@ -87,7 +78,7 @@ def check_backend(backend: BatchBackend) -> None:
                 f"device must be 'cpu' with backend='threads', got {backend.device!r}; pass backend='warp'"
             )
         return
-    require_modules("backend='warp' (Python 3.11 or later)", "warp", "mujoco_warp", "torch", "warp")
+    require_modules("backend='warp'", "warp", "mujoco_warp", "torch", "warp")
     from handover_marl.simulation.mujoco.batches.warp_model import is_device_available
 
     if not is_device_available(backend.device):
@@ -131,24 +122,3 @@ def make_distance_query(panda_urdf: Path, config: PandaConfig) -> DistanceQuery:
     from handover_marl.simulation.mujoco.distance_query import MujocoDistanceQuery
 
     return MujocoDistanceQuery(panda_urdf, config)
-
-
-def make_grasp_validator(
-    object_urdf: Path, config: GraspValidationConfig | None = None, panda_urdf: Path = PANDA_URDF
-) -> "GraspValidator":
-    """Create a validator of grasps of one object in MuJoCo, whatever the physics of the scenes.
-
-    The object has HandoverSim's chain of six joints. `config` has the conditions of a valid grasp, None the defaults.
-    The hand link and the fingers are taken from the Panda `panda_urdf`.
-    """
-    _require_mujoco("the validation of grasps", "take another Python, or grasps=0 (--grasps 0) for a new object")
-    from handover_marl.simulation.mujoco.grasp_validation import GraspValidator
-
-    return GraspValidator(object_urdf, config, panda_urdf)
-
-
-def _require_mujoco(feature: str, advice: str) -> None:
-    if not is_installed("mujoco"):
-        raise OptionError(
-            f"{feature} needs MuJoCo, which is not installed (it has wheels for Python 3.11 and later); {advice}"
-        )

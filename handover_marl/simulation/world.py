@@ -25,7 +25,7 @@ from handover_marl.simulation.camera.renderers import check_rendering
 from handover_marl.simulation.reference_tracking import ReferenceMotion
 
 if TYPE_CHECKING:
-    from typing_extensions import Self
+    from typing import Self
 
     from handover_marl.simulation.bullet.rendering import SceneRenderer
 
@@ -309,15 +309,7 @@ class RolloutWorld(World):
         judge: JudgeFunction,
         rules: ProtocolConfig,
     ) -> npt.NDArray[np.int_]:
-        """Simulate n worlds together for some steps, or until their episodes end; worlds do not influence each other.
+        """Simulate n worlds with reference motions for `steps` steps, or until their episodes end; return step counts.
 
-        Args:
-            worlds: Worlds of running episodes in one engine, with the reference motions of these steps set.
-            robot_targets: Nine joint targets of each Panda (rad, m), float32 values.
-            steps: Number of physics steps, at most the rows left in each reference motion.
-            judge: Function that applies the rules of release and end to the contacts of some of the worlds.
-            rules: Bounds of the grasp region of the fingers.
-
-        Returns:
-            Number (n,) of simulated steps of each world.
+        See `handover_marl.simulation.worlds.Worlds.rollout`; `robot_targets` are nine float32 values for each world.
         """

@@ -4,7 +4,6 @@ Needs the extra `replay`.
 """
 
 import contextlib
-import functools
 import io
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from PIL import ImageColor
 from handover_marl.config import HAND_DOF, TIME_STEP, CameraConfig
 from handover_marl.execution.files import render_template
 from handover_marl.execution.options import require_modules
+from handover_marl.execution.reading import cached_by_file
 from handover_marl.geometry.kinematic_tree import compute_link_trajectory, read_tree
 from handover_marl.geometry.model_files.meshes import VisualMesh, read_visual_meshes
 from handover_marl.geometry.panda import FINGER_LINKS, GRIPPER_OUTLINE, HAND_LINK
@@ -321,7 +321,7 @@ def _compute_body(
 ) -> Iterator[LinkTrajectory]:
     origins, rotations = compute_link_trajectory(urdf, joints, base)
     max_faces = _MAX_ROBOT_FACES if label is SegmentationLabel.ROBOT else _MAX_FACES
-    for mesh in load_simplified_meshes(urdf, urdf.stat().st_mtime_ns, max_faces):
+    for mesh in load_simplified_meshes(urdf, max_faces):
         poses, present = base[None], is_present[:1]
         if mesh.link >= 0:
             poses = poses_from_rotations(origins[:, mesh.link], rotations[:, mesh.link])
@@ -329,12 +329,9 @@ def _compute_body(
         yield LinkTrajectory(f"{name}/{mesh.link + 1}", label, mesh, poses, present)
 
 
-@functools.lru_cache(maxsize=64)
-def load_simplified_meshes(urdf: Path, modified_ns: int, max_faces: int = _MAX_FACES) -> tuple[VisualMesh, ...]:
-    """Return the visual meshes of a model's links with at most `max_faces` triangles each.
-
-    A file with another modification time (ns) is read again.
-    """
+@cached_by_file(maxsize=64)
+def load_simplified_meshes(urdf: Path, max_faces: int = _MAX_FACES) -> tuple[VisualMesh, ...]:
+    """Return the visual meshes of a model's links with at most `max_faces` triangles each; cached."""
     # Imported only here, because they are optional dependencies.
     import fast_simplification
     import trimesh

@@ -37,7 +37,6 @@ from handover_marl.planning.robot_clearance import (
     compute_open_gripper_clearances,
     count_points_between_pads,
 )
-from handover_marl.simulation.engines import make_grasp_validator
 from handover_marl.simulation.grasp_validation import GraspValidationConfig
 
 if TYPE_CHECKING:
@@ -274,7 +273,9 @@ def _simulate_grasps(
     object_urdf: Path, panda_urdf: Path, known: Array, config: GraspPreparationConfig
 ) -> ValidationRecord:
     """Simulate the known grasps (n, 7) and their tilted copies, and return the record of their validation."""
-    validator = make_grasp_validator(object_urdf, config.validation)
+    from handover_marl.simulation.mujoco.grasp_validation import GraspValidator
+
+    validator = GraspValidator(object_urdf, config.validation)
     rows = [[-1, _count_stable(validator, pose, config), 0, 0] for pose in known]
     poses = known
     for number, pose in enumerate(tilt_grasps(known, config)):
@@ -287,7 +288,7 @@ def _simulate_grasps(
         if n_stable:
             poses = np.concatenate([poses, pose[None]])
             rows.append([number, n_stable, 0, 0])
-    validator = make_grasp_validator(object_urdf, config.validation, panda_urdf)
+    validator = GraspValidator(object_urdf, config.validation, panda_urdf)
     for row, pose in zip(rows, poses, strict=True):
         row[2] = _find_advance(validator, pose, config)
         if row[1]:

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from handover_marl.assets.shipped import find_object_urdf
-from handover_marl.geometry import distance_field as field_module
 from handover_marl.geometry.array_cache import get_cache_folder
-from handover_marl.geometry.distance_field import CACHE_KIND, load_object_sdf, sample_distance_field
+from handover_marl.geometry.distance_field import CACHE_KIND, sample_distance_field
+from handover_marl.geometry.distance_field import load_object_sdf as load_cached_object_sdf
 from handover_marl.geometry.model_files.meshes import read_collision_mesh
 
 RADIUS, REACH, CELL = 0.05, 0.2, 0.005
@@ -17,6 +17,8 @@ BALL = sample_distance_field(
     lambda points: np.linalg.norm(points, axis=1) - RADIUS, np.full(3, -REACH), np.full(3, REACH), CELL
 )
 MARGIN = 0.1
+# Without the cache in memory.
+load_object_sdf = load_cached_object_sdf.__wrapped__  # type: ignore[attr-defined]
 
 
 def test_distances_and_gradients_of_a_ball() -> None:
@@ -46,7 +48,6 @@ def test_distance_outside_the_grid() -> None:
 @pytest.fixture
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    field_module._load_object_sdf.cache_clear()
     return get_cache_folder(CACHE_KIND)
 
 
@@ -69,7 +70,6 @@ def test_a_truncated_cache_file_is_computed_again(cache: Path, caplog: pytest.Lo
     (kept,) = cache.iterdir()
     whole = kept.read_bytes()
     kept.write_bytes(whole[: len(whole) // 2])
-    field_module._load_object_sdf.cache_clear()
     with caplog.at_level(logging.WARNING):
         again = load_object_sdf(urdf, MARGIN)
     assert kept.name in caplog.text

@@ -8,13 +8,9 @@ import numpy as np
 import pytest
 
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.errors import OptionError
 from handover_marl.geometry.panda import PANDA_CAMERA
-from handover_marl.simulation import engines
-from handover_marl.simulation.engines import make_grasp_validator
 from handover_marl.simulation.grasp_validation import GraspValidationConfig
-
-pytest.importorskip("mujoco")
+from handover_marl.simulation.mujoco.grasp_validation import GraspValidator
 
 DATA, CAMERA_DATA = SyntheticDataset(), SyntheticDataset(PANDA_CAMERA)
 BOX, BRICK, MARKER = "003_cracker_box", "061_foam_brick", "040_large_marker"
@@ -28,7 +24,7 @@ def load_grasps(name: str) -> np.ndarray:
 
 @pytest.mark.parametrize("panda", [DATA.panda_urdf, CAMERA_DATA.panda_urdf])
 def test_objects_slip_only_out_of_bad_grasps(panda: Path) -> None:
-    validator, grasps = make_grasp_validator(DATA.find_object_urdf(BRICK), None, panda), load_grasps(BRICK)
+    validator, grasps = GraspValidator(DATA.find_object_urdf(BRICK), None, panda), load_grasps(BRICK)
     slips = [validator.measure_release_slip(grasp, 0.22, 0.06) for grasp in grasps[:8]]
     assert validator.measure_release_slip(grasps[0], 0.22, 0.06) == slips[0], "earlier grasps change nothing"
     assert np.median(slips) < 0.003
@@ -38,7 +34,7 @@ def test_objects_slip_only_out_of_bad_grasps(panda: Path) -> None:
 
 
 def test_bad_grasps_are_rejected() -> None:
-    validator, grasp = make_grasp_validator(DATA.find_object_urdf(BOX)), load_grasps(BOX)[0]
+    validator, grasp = GraspValidator(DATA.find_object_urdf(BOX)), load_grasps(BOX)[0]
     missed, deep, turned = grasp.copy(), grasp.copy(), grasp.copy()
     missed[:3, 3] -= 0.1 * grasp[:3, 2]
     deep[:3, 3] += 0.05 * grasp[:3, 2]
@@ -49,8 +45,8 @@ def test_bad_grasps_are_rejected() -> None:
     # A gripper rotated by 90 degrees does not fit over the box, so that a wrong frame convention is detected.
     assert not validator.is_collision_free(turned)
     urdf, rough = DATA.find_object_urdf(MARKER), replace(GraspValidationConfig(), acceleration=2_000.0)
-    assert make_grasp_validator(urdf).is_stable(load_grasps(MARKER)[0])
-    assert not make_grasp_validator(urdf, rough).is_stable(load_grasps(MARKER)[0])
+    assert GraspValidator(urdf).is_stable(load_grasps(MARKER)[0])
+    assert not GraspValidator(urdf, rough).is_stable(load_grasps(MARKER)[0])
 
 
 @pytest.mark.slow
@@ -58,7 +54,7 @@ def test_shipped_grasps_hold() -> None:
     """Most of the shipped grasps, which were validated in PyBullet, are stable; displaced ones are often bad."""
     rng, held, displaced = np.random.default_rng(0), [], []
     for name in (BOX, "024_bowl", "037_scissors"):
-        validator = make_grasp_validator(DATA.find_object_urdf(name))
+        validator = GraspValidator(DATA.find_object_urdf(name))
         for grasp in load_grasps(name)[::15]:
             moved = grasp.copy()
             moved[:3, 3] += grasp[:3, :3] @ rng.uniform([-0.03, -0.03, -0.05], [0.03, 0.03, 0.02])
@@ -66,9 +62,3 @@ def test_shipped_grasps_hold() -> None:
                 results.append(validator.is_collision_free(one) and validator.is_stable(one))
     assert np.mean(held) > 0.85
     assert np.mean(displaced) < 0.7
-
-
-def test_grasps_cannot_be_validated_without_mujoco(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(engines, "is_installed", lambda module: False)
-    with pytest.raises(OptionError, match=r"the validation of grasps needs MuJoCo, .* or grasps=0"):
-        make_grasp_validator(DATA.find_object_urdf(BRICK))

@@ -38,19 +38,11 @@ START = np.array(PandaConfig().start_joints, dtype=np.float32)
 #: Joint positions with which the robot is in the hand's way in scene 209.
 INTO_THE_HAND = np.array([0.285, -0.182, -0.074, -2.037, -0.538, 2.359, 0.688, 0.04, 0.04], dtype=np.float32)
 DATA = open_dataset("synthetic", robot="panda_camera")
-#: Packages of the engines besides PyBullet.
-MODULES = {"mujoco": "mujoco", THREADS: "mujoco", WARP: "mujoco_warp"}
-
-
-def require_engine(name: str) -> str:
-    if name in MODULES:
-        pytest.importorskip(MODULES[name])
-    return name
 
 
 @pytest.fixture(params=PHYSICS)
 def physics(request: pytest.FixtureRequest) -> str:
-    return require_engine(request.param)
+    return str(request.param)
 
 
 @pytest.fixture
@@ -147,7 +139,7 @@ MOTION = {"hand_dof_position": 1e-2, "hand_keypoints": 1e-3}
 def test_states_are_those_of_exact_physics(name: str, data: str, fake_data: Path, episodes: list[Episode]) -> None:
     """States are equal while the robot is far from all bodies, also if the hand appears and disappears."""
     scene = load_late_scene(209, 300) if data == "synthetic" else OfficialDataset(fake_data).load_scene(14)
-    episodes += [Episode("exact"), Episode(require_engine(name))]
+    episodes += [Episode("exact"), Episode(name)]
     for episode in episodes:
         episode.reset(scene)
     presence = []
@@ -228,7 +220,8 @@ def advance_batch(backend: str, rows: list[int], scenes: list[Scene], count: int
 @pytest.mark.parametrize("backend", [THREADS, WARP])
 def test_one_world_of_many_is_that_of_a_single_world(backend: str) -> None:
     """Each of four worlds of a batch equals the only world of another one; those of MuJoCo equal a single episode."""
-    require_engine(backend)
+    if backend == WARP:
+        pytest.importorskip("mujoco_warp")
     together = advance_batch(backend, [2, 0], [*BATCH_SCENES], 4)
     alone = [advance_batch(backend, [0], [scene], 1) for scene in BATCH_SCENES]
     assert [found["hand_present"][0].tolist() for found in together] == [[0.0], [1.0]]
@@ -262,17 +255,16 @@ def test_engines_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
     assert PHYSICS == ("exact", "fast", "mujoco")
     with pytest.raises(UnknownNameError, match="valid: exact, fast, mujoco"):
         check_physics("nuclear")
-    assert ("mujoco" in list_available_physics()) == (importlib.util.find_spec("mujoco") is not None)
+    assert list_available_physics() == PHYSICS
     find = importlib.util.find_spec
     monkeypatch.setattr(
-        importlib.util, "find_spec", lambda name, *rest: None if name == "mujoco" else find(name, *rest)
+        importlib.util, "find_spec", lambda name, *rest: None if name == "pybullet" else find(name, *rest)
     )
-    assert list_available_physics() == ("exact", "fast")
-    with pytest.raises(OptionError, match=r"needs MuJoCo.*Python 3\.11 and later"):
-        Episode("mujoco")
+    assert list_available_physics() == ("mujoco",)
+    with pytest.raises(OptionError, match=r"needs PyBullet.*up to Python 3\.13"):
+        Episode("fast")
 
 
 def test_only_pybullet_has_a_window() -> None:
-    require_engine("mujoco")
     with pytest.raises(OptionError, match="opens no window"):
         make_world("mujoco", PhysicsConfig(), window=True)

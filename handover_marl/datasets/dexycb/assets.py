@@ -143,7 +143,7 @@ def write_object_assets(assets: Path) -> None:
 
 def find_table_folder() -> Path:
     """Return the folder of PyBullet's table; raise `OptionError` if PyBullet is not installed."""
-    advice = "import with Python 3.10 to 3.13: the folder then serves every Python"
+    advice = "import with Python 3.11 to 3.13: the folder then serves every Python"
     return find_bullet_data("HandoverSim's table, which is made of PyBullet's,", advice) / "table"
 
 

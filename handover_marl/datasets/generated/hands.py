@@ -21,7 +21,7 @@ from handover_marl.datasets.generated.shapes import normalize
 from handover_marl.geometry.rotations import euler_from_matrices
 
 if TYPE_CHECKING:
-    from typing_extensions import Self
+    from typing import Self
 
 Array = npt.NDArray[np.float64]
 #: Tapered capsule (m): start (3,), end (3,), radius at the start, radius at the end.

@@ -149,8 +149,7 @@ def _draw_timing(random: RandomStream, speed: float, entry_distance: float, lift
     reach = (grasp - onset) / frames_per_m
     spare = latest - (grasp + close + lift_frames)
     if spare < 0:
-        lift_frames = max(8, lift_frames + spare)
-        spare = 0
+        lift_frames, spare = max(8, lift_frames + spare), 0
     pause = random.integer(spare + 1) // 3
     lift = grasp + close + pause
     return HandoverTiming(n_frames, onset, grasp, lift, min(lift + lift_frames, n_frames - 1), onset_share, reach)
@@ -170,11 +169,10 @@ class _HandoverPath:
         self._first, last = Rotation.from_matrix(np.stack([start_rotation, end_rotation])).as_quat()
         between = multiply_quaternions(self._first * [-1.0, -1.0, -1.0, 1.0], last)
         self._turn = Rotation.from_quat(between).as_rotvec()
-        self._wrist = giver.keypoints[placement.grasp, 0]
-        self._points = np.concatenate([giver.corners, giver.keypoints[placement.grasp]])
-        self._clearance = np.repeat(
-            [OBJECT_CLEARANCE, JOINT_CLEARANCE], [len(giver.corners), len(giver.keypoints[placement.grasp])]
-        )
+        keypoints = giver.keypoints[placement.grasp]
+        self._wrist = keypoints[0]
+        self._points = np.concatenate([giver.corners, keypoints])
+        self._clearance = np.repeat([OBJECT_CLEARANCE, JOINT_CLEARANCE], [len(giver.corners), len(keypoints)])
         self._rise = 0.0
         self._rise = self._compute_rise()
 

@@ -3,7 +3,6 @@
 OBJ files are read without trimesh; boxes, spheres and other mesh formats need it (extra `planning`).
 """
 
-import functools
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +12,7 @@ import numpy.typing as npt
 from scipy.spatial import ConvexHull, QhullError
 
 from handover_marl.errors import DataFormatError
-from handover_marl.execution.reading import check_plain_file, report_damage
+from handover_marl.execution.reading import cached_by_file, check_plain_file, report_damage
 from handover_marl.geometry.kinematic_tree import KinematicTree, read_tree
 from handover_marl.geometry.model_files.obj_files import check_mesh, read_obj
 from handover_marl.geometry.model_files.urdf import UrdfShape, read_model_mtimes, read_urdf_links, read_urdf_shapes
@@ -99,18 +98,12 @@ def decompose_convex(vertices: Array, faces: Faces, concavity: float = 0.05) -> 
     return parts
 
 
+@cached_by_file(256, read_model_mtimes)
 def check_collision_meshes(urdf: Path) -> None:
     """Check that a URDF model's collision meshes are neither empty nor flat, with finite vertices.
 
     An unchanged model is checked once. Only the content of OBJ files is checked.
     """
-    with report_damage(urdf, "model", "check the file"):
-        mtimes = read_model_mtimes(urdf)
-    _check_collision_meshes(urdf, mtimes)
-
-
-@functools.lru_cache(maxsize=256)
-def _check_collision_meshes(urdf: Path, mtimes: tuple[int, ...]) -> None:
     shapes = read_urdf_shapes(urdf, read_tree(urdf), "collision")
     if not shapes:
         raise DataFormatError(f"{urdf}: the model must have a collision shape; check the file")

@@ -1,7 +1,5 @@
 """Reader of URDF models: shapes, masses, friction and joint limits of links."""
 
-import functools
-import os
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
@@ -12,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.errors import SimulationError
-from handover_marl.execution.reading import read_plain_file
+from handover_marl.execution.reading import cached_by_file, read_mtime, read_plain_file, report_damage
 from handover_marl.geometry.kinematic_tree import KinematicTree, matrix_from_rpy
 from handover_marl.geometry.model_files.urdf_xml import MAX_URDF_BYTES, parse_urdf, read_attribute
 from handover_marl.geometry.rotations import quaternions_from_matrices
@@ -109,30 +107,19 @@ def list_mesh_references(urdf: Path) -> list[tuple[str, Path]]:
 
 def read_model_mtimes(urdf: Path) -> tuple[int, ...]:
     """Return the modification times (ns) of a URDF file and its mesh files; 0 for missing meshes."""
-    own = urdf.stat().st_mtime_ns
-    return (own, *map(_read_mtime, _list_meshes(urdf, own)))
+    with report_damage(urdf, "model", "check the file"):
+        return (urdf.stat().st_mtime_ns, *map(read_mtime, _list_meshes(urdf)))
 
 
-@functools.lru_cache(maxsize=256)
-def _list_meshes(urdf: Path, mtime: int) -> tuple[str, ...]:
+@cached_by_file(maxsize=256)
+def _list_meshes(urdf: Path) -> tuple[str, ...]:
     """Return the different paths of mesh files; as text, since they are looked up at every start of an episode."""
     return tuple(dict.fromkeys(str(mesh) for _, mesh in list_mesh_references(urdf)))
 
 
-def _read_mtime(path: str) -> int:
-    try:
-        return os.stat(path).st_mtime_ns  # noqa: PTH116
-    except (OSError, ValueError):
-        return 0
-
-
-def read_urdf_shapes(urdf: Path, tree: KinematicTree, purpose: str) -> list[UrdfShape]:
+@cached_by_file(maxsize=256)
+def read_urdf_shapes(urdf: Path, tree: KinematicTree, purpose: str) -> tuple[UrdfShape, ...]:
     """Read all "collision" or all "visual" shapes of a URDF model; an unchanged file is read once."""
-    return list(_read_shapes(urdf, urdf.stat().st_mtime_ns if urdf.exists() else 0, tree, purpose))
-
-
-@functools.lru_cache(maxsize=256)
-def _read_shapes(urdf: Path, changed: int, tree: KinematicTree, purpose: str) -> tuple[UrdfShape, ...]:
     try:
         robot = parse_urdf(urdf)
         numbers = {joint.link: number for number, joint in enumerate(tree.joints)}

@@ -13,7 +13,7 @@ from handover_marl.errors import HandoverError
 from handover_marl.geometry.panda import PANDA
 
 if TYPE_CHECKING:
-    from typing_extensions import Self
+    from typing import Self
 
 # Every tenth scene of a training split is held out.
 _HELD_OUT = 10

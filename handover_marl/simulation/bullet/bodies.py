@@ -241,10 +241,7 @@ def compute_object_masks(class_ids: Sequence[int]) -> list[int]:
     """Return the collision masks of a scene's objects before their release, with one bit for each object.
 
     The objects collide with the robot but not with each other. The YCB classes of DexYCB have HandoverSim's
-    bits, 1 to 20. Other classes, and further objects of the same class, get the next unused bits.
-
-    Args:
-        class_ids: Class numbers of the objects.
+    bits, 1 to 20. Other class numbers, and further objects of the same class, get the next unused bits.
     """
     bits: list[int | None] = []
     for class_id in class_ids:

@@ -17,6 +17,7 @@ import numpy as np
 from handover_marl.config import CameraConfig
 from handover_marl.errors import SimulationError
 from handover_marl.execution.options import require_pybullet
+from handover_marl.execution.reading import cached_by_file
 from handover_marl.geometry.model_files.obj_files import check_mesh
 from handover_marl.geometry.model_files.urdf import list_mesh_references
 from handover_marl.geometry.model_files.urdf_xml import parse_urdf
@@ -115,11 +116,7 @@ class BulletClient:
 
 
 def connect(window: bool = False) -> BulletClient:
-    """Start a physics server in this process and return its client.
-
-    Args:
-        window: Whether to show the simulation in PyBullet's window, without its side panels.
-    """
+    """Start a physics server in this process, by choice with PyBullet's `window`, and return its client."""
     if not window:
         return BulletClient(pybullet.DIRECT)
     if sys.platform.startswith("linux"):
@@ -151,17 +148,11 @@ def _require_screen() -> None:
 
 
 def load_urdf(client: BulletClient, path: Path | str, **options: object) -> int:
-    """Load a model file and return the PyBullet body number.
-
-    Args:
-        client: Physics client.
-        path: URDF file.
-        options: Keyword arguments of PyBullet's `loadURDF`.
-    """
+    """Load a URDF file with PyBullet's `loadURDF` and its keyword arguments; return the body number."""
     urdf = Path(path)
     # A missing file may still be in PyBullet's own data folder.
     with contextlib.suppress(OSError):
-        check_model_files(urdf, urdf.stat().st_mtime_ns)
+        check_model_files(urdf)
     try:
         return int(client.loadURDF(str(path), **options))
     except pybullet.error as error:
@@ -170,15 +161,11 @@ def load_urdf(client: BulletClient, path: Path | str, **options: object) -> int:
         ) from error
 
 
-@functools.lru_cache(maxsize=256)
-def check_model_files(urdf: Path, modified_ns: int) -> None:
-    """Check the files of a model before PyBullet loads them.
+@cached_by_file(maxsize=256)
+def check_model_files(urdf: Path) -> None:
+    """Check the files of a model before PyBullet loads them; an unchanged model is checked once.
 
     PyBullet crashes on invalid vertex numbers, waits forever if a path is a pipe, and accepts numbers of any size.
-
-    Args:
-        urdf: URDF file of the model.
-        modified_ns: Time of the file's last change (ns); an unchanged model is checked once.
     """
     try:
         parse_urdf(urdf)

@@ -78,12 +78,7 @@ class BulletIKStep:
 
 
 class BulletIKSolver(IkSolver):
-    """Iterative inverse kinematics of the Panda by PyBullet, as in HandoverSim's baselines.
-
-    Args:
-        urdf: Model of the Panda.
-        config: Base pose of the Panda.
-    """
+    """Iterative inverse kinematics of the Panda by PyBullet, as in HandoverSim's baselines; see `BulletIKStep`."""
 
     def __init__(self, urdf: Path, config: PandaConfig) -> None:
         self._client = connect()
@@ -100,15 +95,10 @@ class BulletIKSolver(IkSolver):
     def solve_many(
         self, starts: npt.NDArray[np.floating], positions: Array, orientations: Array | None = None
     ) -> Array:
-        """Return arm joints (n, 7) in rad that move the hand link to world poses; nan where not converged.
+        """Return arm joints (n, 7) in rad that move the hand link to world poses, see `IkSolver.solve_many`.
 
         Queries are solved one after another. Bullet's damped steps are repeated until the hand is within 1 mm and
         0.1 rad of the target. Joint limits are ignored, as in HandoverSim.
-
-        Args:
-            starts: (n, 9) joint positions to start from (rad, m); finger positions are ignored.
-            positions: (n, 3) world positions of the hand link (m).
-            orientations: (n, 4) world orientations, quaternions xyzw; None leaves them free.
         """
         found, targets = np.full((len(starts), ARM_DOF), np.nan), positions.astype(np.float64)
         # For a pose out of reach, the iteration would not converge, but take minutes.
@@ -140,14 +130,7 @@ class BulletIKSolver(IkSolver):
 
 
 class BulletDistanceQuery(DistanceQuery):
-    """Distances between the collision shapes of a Panda and of a human hand, by PyBullet.
-
-    The models are loaded into a separate physics client.
-
-    Args:
-        panda_urdf: Model of the robot.
-        config: Base pose of the robot.
-    """
+    """Distance query between Panda and human hand by PyBullet, in a separate physics client."""
 
     def __init__(self, panda_urdf: Path, config: PandaConfig) -> None:
         self._client = connect()
@@ -159,7 +142,7 @@ class BulletDistanceQuery(DistanceQuery):
         return read_bounding_spheres(urdf)
 
     def measure(self, hand_urdf: Path, robot: list[float], hand: list[float], max_distance: float) -> float:
-        """Return the smallest distance (m), at most `max_distance`, of Panda and human hand at joint positions."""
+        """Return the smallest distance (m) of the surfaces of Panda and human hand, see `DistanceQuery.measure`."""
         self._panda.reset_joints_at_rest(robot)
         if hand_urdf not in self._hands:
             self._hands[hand_urdf] = HandBody(self._client, hand_urdf, hand, _HAND_CONFIG)

@@ -4,7 +4,6 @@ Otherwise they sleep: they follow their references kinematically. Row k is step 
 -1 is the state before its first step.
 """
 
-import functools
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ import numpy.typing as npt
 
 from handover_marl.config import TIME_STEP, HandConfig, ObjectConfig
 from handover_marl.errors import SimulationError
+from handover_marl.execution.reading import cached_by_file
 from handover_marl.geometry.kinematic_tree import BoundingSphere, read_tree
 from handover_marl.geometry.model_files.urdf import UrdfShape, read_urdf_shapes
 from handover_marl.geometry.poses import IDENTITY, compose, inverse_transform_points
@@ -33,13 +33,9 @@ _EMPTY_MASK = 0
 _REST_TOLERANCE = 1e-7
 
 
+@cached_by_file(maxsize=None)
 def read_bounding_spheres(urdf: Path) -> dict[int, BoundingSphere]:
     """Return the bounding spheres of all links with collision shapes, by link number; -1 is the base."""
-    return _read_bounding_spheres(urdf, urdf.stat().st_mtime_ns)
-
-
-@functools.cache
-def _read_bounding_spheres(urdf: Path, changed: int) -> dict[int, BoundingSphere]:
     # A separate physics client keeps the body numbers of the worlds independent of this cache.
     client = connect()
     body = load_urdf(client, urdf, useFixedBase=True)

@@ -54,7 +54,7 @@ class BulletWorld(World):
     def _start_scene(self, scene: Scene) -> Iterator[None]:
         """Check a scene's files, and show the scene in the window once its models are loaded in this context."""
         for urdf in scene.urdfs:
-            check_model_files(urdf, urdf.stat().st_mtime_ns)
+            check_model_files(urdf)
         self._scene, self._release_pending = scene, False
         try:
             yield

@@ -30,10 +30,6 @@ class ExactWorld(BulletWorld):
     """PyBullet world with the same states as HandoverSim, bit for bit, for equal float32 targets.
 
     All bodies of a scene are simulated, and all are loaded again at every reset.
-
-    Args:
-        config: Constants of the world.
-        window: Whether to open PyBullet's window.
     """
 
     def __init__(self, config: PhysicsConfig, window: bool = False) -> None:
@@ -112,10 +108,6 @@ class FastWorld(BulletWorld):
     The Panda, every object that it could touch, and after a release all objects are simulated as in `ExactWorld`. The
     human hand follows its reference kinematically, as its motors would move it: by its collision mask it can touch only
     the Panda, and such a contact ends the episode, so its dynamics have no effect. Models stay loaded between scenes.
-
-    Args:
-        config: Constants of the world.
-        window: Whether to open PyBullet's window.
     """
 
     def __init__(self, config: PhysicsConfig, window: bool = False) -> None:

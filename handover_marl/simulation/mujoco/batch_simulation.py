@@ -1,6 +1,5 @@
 """Simulation of many worlds in MuJoCo, in one thread. The worlds do not influence each other."""
 
-import functools
 from collections import OrderedDict
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from mujoco.batch import Batch
 
+from handover_marl.execution.reading import cached_by_file
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.rotations import quaternions_from_matrices
 from handover_marl.simulation.mujoco.engine import check_warnings, configure_engine, wxyz_from_xyzw
@@ -132,7 +132,7 @@ class HandKinematics:
     """
 
     def __init__(self, urdf: Path, links: npt.ArrayLike) -> None:
-        self._model = _compile_tree(urdf, urdf.stat().st_mtime_ns)
+        self._model = _compile_tree(urdf)
         self._data = mujoco.MjData(self._model)
         self._joints, self._positions, self._quaternions = self._data.qpos, self._data.xpos, self._data.xquat
         # Body 0 is the world, body 1 the base.
@@ -154,8 +154,8 @@ class HandKinematics:
         return positions[places], quaternions[places]
 
 
-@functools.lru_cache(maxsize=64)
-def _compile_tree(urdf: Path, mtime: int) -> "mujoco.MjModel":
+@cached_by_file(maxsize=64)
+def _compile_tree(urdf: Path) -> "mujoco.MjModel":
     """Compile the joints of a URDF file as a MuJoCo model without shapes."""
     tree, spec = read_tree(urdf), mujoco.MjSpec()
     bodies = {-1: spec.worldbody.add_body()}

@@ -14,12 +14,7 @@ from handover_marl.simulation.mujoco.models.scene_spec import SceneModelBuilder
 
 
 class MujocoDistanceQuery(DistanceQuery):
-    """Distance query between Panda and human hand by MuJoCo, with one model for each hand.
-
-    Args:
-        panda_urdf: Model of the robot.
-        config: Base pose of the robot.
-    """
+    """Distance query between Panda and human hand by MuJoCo, with one model for each hand."""
 
     def __init__(self, panda_urdf: Path, config: PandaConfig) -> None:
         self._panda_urdf, self._config = panda_urdf, PhysicsConfig(panda=config)

@@ -66,7 +66,7 @@ def test_shipped_records_are_found(
     dataset: str, robot: str, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """The shipped records match the shipped objects, grasps and robots."""
-    monkeypatch.setattr(validation_module, "make_grasp_validator", None)
+    monkeypatch.setattr(validation_module, "_simulate_grasps", None)
     folder = request.getfixturevalue("real_data") if dataset == "dexycb" else None
     data, count = open_dataset(dataset, folder, robot), 0
     for name in CLASS_NAMES.values():

@@ -3,13 +3,10 @@
 from collections.abc import Iterator
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import numpy.typing as npt
 import pytest
-
-pytest.importorskip("mujoco")
-
-import mujoco
 
 from handover_marl.config import PandaConfig, PhysicsConfig
 from handover_marl.datasets.synthetic import SyntheticDataset

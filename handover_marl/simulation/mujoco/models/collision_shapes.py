@@ -12,7 +12,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from handover_marl.errors import DataFormatError
-from handover_marl.execution.reading import read_plain_file
+from handover_marl.execution.reading import cached_by_file, read_mtime, read_plain_file
 from handover_marl.geometry.kinematic_tree import BoundingSphere, KinematicTree
 from handover_marl.geometry.model_files.obj_files import read_obj
 from handover_marl.geometry.model_files.urdf import UrdfLink, UrdfShape, read_urdf_shapes
@@ -53,7 +53,7 @@ class ConvexPart:
 
 def load_convex_parts(shapes: Sequence[UrdfShape]) -> list[ConvexPart]:
     """Load collision shapes as Bullet does: each object of a mesh file is one convex hull."""
-    return [part for shape in shapes for part in _load_shape(shape, _read_mtime(shape.mesh))]
+    return [part for shape in shapes for part in _load_shape(shape)]
 
 
 def load_link_parts(urdf: Path, tree: KinematicTree) -> dict[int, list[ConvexPart]]:
@@ -63,21 +63,21 @@ def load_link_parts(urdf: Path, tree: KinematicTree) -> dict[int, list[ConvexPar
     return {link: load_convex_parts([shape for shape in shapes if shape.link == link]) for link in links}
 
 
-def _read_mtime(mesh: Path | None) -> int:
-    return mesh.stat().st_mtime_ns if mesh is not None and mesh.exists() else 0
+def _read_mesh_mtime(shape: UrdfShape) -> int:
+    return 0 if shape.mesh is None else read_mtime(shape.mesh)
 
 
 # Many scenes share the shapes of a URDF file, and so their parts.
-@functools.lru_cache(maxsize=2048)
-def _load_shape(shape: UrdfShape, mtime: int) -> tuple[ConvexPart, ...]:
+@cached_by_file(2048, _read_mesh_mtime)
+def _load_shape(shape: UrdfShape) -> tuple[ConvexPart, ...]:
     if shape.mesh is None:
         return (ConvexPart(shape.kind, np.zeros((0, 3)), shape.size, shape.link_from_shape),)
-    meshes = _load_mesh_objects(shape.mesh, mtime)
+    meshes = _load_mesh_objects(shape.mesh)
     return tuple(ConvexPart("hull", vertices * shape.size, (), shape.link_from_shape) for vertices in meshes)
 
 
-@functools.lru_cache(maxsize=512)
-def _load_mesh_objects(mesh: Path, mtime: int) -> tuple[Array, ...]:
+@cached_by_file(maxsize=512)
+def _load_mesh_objects(mesh: Path) -> tuple[Array, ...]:
     """Return the distinct vertices (v, 3) of each object in a mesh file."""
     if mesh.suffix.lower() == ".obj":
         content = read_obj(mesh)

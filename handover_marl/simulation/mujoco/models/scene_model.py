@@ -13,6 +13,7 @@ import numpy.typing as npt
 from handover_marl.config import OBJECT_DOF, PANDA_DOF, PhysicsConfig
 from handover_marl.datasets.dataset import SceneAssets
 from handover_marl.errors import SimulationError
+from handover_marl.execution.reading import cached_by_file
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.model_files.urdf import read_model_mtimes
 from handover_marl.geometry.panda import HAND_LINK
@@ -33,10 +34,9 @@ from handover_marl.simulation.reference_tracking import BASE_JOINTS
 Index = npt.NDArray[np.int32]
 
 # A model takes 2 MB and 20 ms to build. DexYCB has 400 pairs of object and hand, and trainings use all of them.
-_CACHE_SIZE = 400
+CACHE_SIZE = 400
 # Link of an object's chain that carries the mass and all shapes, after its six joints.
 _OBJECT_LINK = OBJECT_DOF - 1
-_Mtimes = tuple[int, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,6 +123,15 @@ def select_variant(scene: SceneModel, released: bool, hand_collides: bool) -> "m
     return model
 
 
+def _read_scene_mtimes(assets: SceneAssets) -> tuple[tuple[int, ...], ...]:
+    return _read_mtimes((assets.table, assets.panda, *assets.objects, assets.hand))
+
+
+def _read_mtimes(files: tuple[Path, ...]) -> tuple[tuple[int, ...], ...]:
+    return tuple(map(read_model_mtimes, files))
+
+
+@cached_by_file(CACHE_SIZE, _read_scene_mtimes)
 def load_scene_model(assets: SceneAssets, config: PhysicsConfig, padding: ModelPadding | None = None) -> SceneModel:
     """Compile the MuJoCo model of a scene, or return it from the cache if no file has changed.
 
@@ -131,20 +140,8 @@ def load_scene_model(assets: SceneAssets, config: PhysicsConfig, padding: ModelP
         config: Constants of the world.
         padding: Sizes to which the model is padded; the indices are those of the scene's own objects.
     """
-    files = (assets.table, assets.panda, *assets.objects, assets.hand)
-    try:
-        mtimes = tuple(read_model_mtimes(urdf) for urdf in files)
-    except OSError as error:
-        raise SimulationError(f"{error.filename}: cannot read this model ({error.strerror or error})") from error
-    return _load(assets, mtimes, config, padding)
-
-
-@functools.lru_cache(maxsize=_CACHE_SIZE)
-def _load(
-    assets: SceneAssets, mtimes: tuple[_Mtimes, ...], config: PhysicsConfig, padding: ModelPadding | None
-) -> SceneModel:
     friction = read_object_friction(assets.objects[0])
-    workcell = assets.table, assets.panda, mtimes[:2], friction, config
+    workcell = (assets.table, assets.panda), friction, config
     built = SceneModelBuilder(config, friction, _build_workcell(*workcell).copy(), padding)
     built.add_objects_and_hand(assets.objects, assets.hand)
     model = _compile(built.spec, assets.objects[0].parent.name)
@@ -171,10 +168,8 @@ def _load(
         hand=_as_slice(model.body(number).mocapid[0] for number in hands),
         hand_links=np.array(built.hand_links, dtype=np.int32),
         robot_only=_load_robot_only(*workcell),
-        hand_reach=_compute_reach(assets.hand, mtimes[-1], BASE_JOINTS - 1),
-        object_reaches=np.array(
-            [_compute_reach(*item, _OBJECT_LINK) for item in zip(assets.objects, mtimes[2:-1], strict=True)]
-        ),
+        hand_reach=_compute_reach(assets.hand, BASE_JOINTS - 1),
+        object_reaches=np.array([_compute_reach(urdf, _OBJECT_LINK) for urdf in assets.objects]),
     )
 
 
@@ -185,24 +180,21 @@ def _compile(spec: "mujoco.MjSpec", name: str) -> "mujoco.MjModel":
         raise SimulationError(f"MuJoCo refuses the model of {name} ({error})") from error
 
 
-@functools.lru_cache(maxsize=32)
-def _build_workcell(
-    table: Path, panda: Path, mtimes: tuple[_Mtimes, ...], friction: float, config: PhysicsConfig
-) -> "mujoco.MjSpec":
+@cached_by_file(32, _read_mtimes)
+def _build_workcell(table_and_panda: tuple[Path, Path], friction: float, config: PhysicsConfig) -> "mujoco.MjSpec":
     """Build the specification of ground, table and robot, which must not be changed."""
     built = SceneModelBuilder(config, friction)
-    built.add_workcell(table, panda)
+    built.add_workcell(*table_and_panda)
     return built.spec
 
 
-@functools.lru_cache(maxsize=32)
-def _load_robot_only(
-    table: Path, panda: Path, mtimes: tuple[_Mtimes, ...], friction: float, config: PhysicsConfig
-) -> RobotOnlyModel:
+@cached_by_file(32, _read_mtimes)
+def _load_robot_only(table_and_panda: tuple[Path, Path], friction: float, config: PhysicsConfig) -> RobotOnlyModel:
+    panda = table_and_panda[1]
     tree = read_tree(panda)
     bounds = RobotMotionBounds(tree, compute_bounding_spheres(panda, tree), config.panda)
     names = [tree.joints[link].link for link in bounds.links]
-    spec = _build_workcell(table, panda, mtimes, friction, config).copy()
+    spec = _build_workcell(table_and_panda, friction, config).copy()
     centers = [(spec.body(name), center) for name, center in zip(names, bounds.link_centers, strict=True)]
     centers += [(spec.worldbody, center) for center in bounds.base_centers]
     # MuJoCo moves the sites in every step, which is faster than array operations.
@@ -214,8 +206,8 @@ def _load_robot_only(
     return RobotOnlyModel(model, bounds, links, spheres)
 
 
-@functools.lru_cache(maxsize=512)
-def _compute_reach(urdf: Path, mtimes: _Mtimes, link: int) -> float:
+@cached_by_file(512, read_model_mtimes)
+def _compute_reach(urdf: Path, link: int) -> float:
     """Return the largest distance (m) from a link's origin to the shapes that it carries, at any joint angles."""
     tree = read_tree(urdf)
     return tree.compute_reach(link, compute_bounding_spheres(urdf, tree))

@@ -139,12 +139,7 @@ class SceneModelBuilder:
         self._object_friction = object_friction
 
     def add_workcell(self, table: Path, panda: Path) -> None:
-        """Add ground, table and robot to the model.
-
-        Args:
-            table: URDF file of the table.
-            panda: URDF file of the robot.
-        """
+        """Add the ground, and table and robot from their URDF files, to the model."""
         ground = self.spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0])
         self._set_contact_parameters(ground, CollisionGroup.GROUND, 0.5, priority=_SUPPORT_PRIORITY)
         tree = read_tree(table)
@@ -159,12 +154,7 @@ class SceneModelBuilder:
                 self.spec.add_exclude(bodyname1=one, bodyname2=other)
 
     def add_objects_and_hand(self, objects: Sequence[Path], hand: Path) -> None:
-        """Add objects, human hand and contact sensors to a model with a workcell.
-
-        Args:
-            objects: URDF files of the objects, the target first.
-            hand: URDF file of the hand.
-        """
+        """Add objects (the target first) and hand, from URDF files, and contact sensors to a model with a workcell."""
         for number, urdf in enumerate(objects):
             self._add_object(number, urdf)
         count = len(objects) if self._padding is None else self._padding.objects

@@ -21,8 +21,6 @@ from tests.helpers.custom_scenes import make_box, make_recording, write_csv
 from tests.helpers.equality import read_files
 from tests.helpers.short_episodes import shorten_episodes
 
-pytest.importorskip("mujoco", reason="MuJoCo validates the grasps of new objects")
-
 pytestmark = pytest.mark.usefixtures("own_cache")
 MUG = (0.3, 0.3, TABLE_HEIGHT + 0.05, 0.0, 0.0, 0.0, 1.0)
 
