@@ -115,7 +115,7 @@ class HandGeometry:
         return positions, rotations
 
     def compute_keypoints(self, dof: npt.ArrayLike) -> FloatArray:
-        """Compute the keypoints (..., 21, 3) in m of the hand from joint positions (..., 51), in their frame.
+        """Compute the hand's keypoints (..., 21, 3) in m; joints `dof` and frame are as in `compute_link_poses`.
 
         The keypoints are the wrist, then three joints and the fingertip of index, middle, little and ring finger and
         thumb.

@@ -66,7 +66,7 @@ class ArrayGiver(ArrayPolicy, Giver):
             self.state[name][row] = self.arrays.asarray(value)
 
     def make_actions(self, rows: AnyIndices, **components: float | AnyArray) -> Actions:
-        """Make actions (r, 8) in the episodes `rows` from their `rate` and so on, see `make_giver_actions`."""
+        """Make actions (r, 8) in the episodes `rows` from components such as `rate`, see `make_giver_actions`."""
         return make_giver_actions(len(rows), arrays=self.arrays, **components)
 
     def make_pauses(self, rows: AnyIndices, is_paused: AnyArray) -> Actions:

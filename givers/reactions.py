@@ -188,7 +188,10 @@ class CooperativeGiver(ArrayGiver):
         return resting & (now - since >= self.grasp_time)
 
     def _withdraw(self, rows: AnyIndices, begins: AnyArray, shift: AnyArray, observation: Observation) -> None:
-        """Set the final displacement of hands that begin to withdraw, where `begins` (r,): from `shift` (r, 3) away."""
+        """Store the final displacements of the hands that begin to withdraw, where `begins` (r,) is True.
+
+        A hand moves from its present displacement `shift` (r, 3) in m away from the gripper, by `withdrawal`.
+        """
         withdrawal = shift + compute_withdrawals(observation, self.config.withdrawal)
         withdrawn = self.state["withdrawal"]
         withdrawn[rows] = self.arrays.xp.where(begins[:, None], withdrawal, withdrawn[rows])

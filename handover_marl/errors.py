@@ -77,7 +77,7 @@ def check_name(kind: str, name: object, valid: Iterable[object]) -> None:
 
 
 class OptionError(HandoverError, ValueError):
-    """Error for an option that is out of range or contradicts other options."""
+    """Error for an option that is out of range, contradicts other options, or needs a package that is not installed."""
 
 
 class SceneError(HandoverError, ValueError):
@@ -105,7 +105,7 @@ class SimulationError(HandoverError, RuntimeError):
 
 
 class WorkerError(HandoverError, RuntimeError):
-    """Error for a worker process that ended unexpectedly."""
+    """Error for a worker process or Ray cluster that died, cannot be reached, or failed in a task."""
 
 
 class PolicyError(HandoverError, RuntimeError):

@@ -54,9 +54,9 @@ def check_receiver(
 def check_giver(
     giver: PolicyLike, dataset: Dataset | None = None, scenes: Sequence[int] = _SCENES, steps: int = _STEPS
 ) -> None:
-    """Check that a giver, as in `handover_marl.crossplay`, meets the requirements of evaluations, with `yang2021`.
+    """Check that a giver meets the requirements of evaluations, by running it with the receiver `yang2021`.
 
-    Requirements, the other arguments and errors are those of `check_receiver`.
+    `giver` is as in `handover_marl.crossplay`; requirements, other arguments and errors are those of `check_receiver`.
     """
     _check("giver", giver, dataset or open_dataset("synthetic"), scenes, steps)
 

@@ -27,8 +27,7 @@ def make(policy: PolicyLike, dataset: Dataset | None = None, trust: bool = False
     shipped weights.
 
     Raises:
-        UnknownNameError, UnknownArgumentError: There is no such receiver, or it has no such option.
-        OptionError: An option has a wrong value.
+        UnknownNameError, OptionError: There is no such receiver or option, or an option has a wrong value.
         HandoverError: The default dataset cannot be opened.
     """
     return parse_policy("receiver", policy, trust).make(dataset, setup=setup)

@@ -191,7 +191,7 @@ class GaddpgReceiver(PhasedReceiver):
 
     @property
     def label(self) -> str:
-        """Name of the receiver with a hash of its weights."""
+        """Name of the receiver, with a hash of its weights unless a network was passed."""
         return self._label
 
     def reset(self, seed: int | None = None) -> None:

@@ -1,7 +1,4 @@
-"""Known grasps of objects.
-
-Poses are poses of the Panda's hand link: position (m) and quaternion xyzw.
-"""
+"""Known grasps of objects, as poses (m, quaternion xyzw) of the gripper or of the Panda's hand link."""
 
 import functools
 from collections.abc import Callable
@@ -20,7 +17,7 @@ Array = npt.NDArray[np.float64]
 def load_gripper_poses(grasps: Callable[[str], Array | None], object_name: str) -> Array | None:
     """Return the known gripper poses (n, 7), xyz and xyzw, in the frame of an object class, or None; cached.
 
-    The function `grasps` is the attribute of `PolicyContext`; its poses are poses of the gripper, as in grasp files.
+    The function `grasps` is `PolicyContext.load_grasps`. For poses of the hand link, see `load_hand_poses`.
     """
     matrices = grasps(object_name)
     return None if matrices is None or not len(matrices) else poses_from_matrices(matrices)
@@ -35,9 +32,9 @@ def load_hand_poses(grasps: Callable[[str], Array | None], object_name: str) -> 
 class GraspTable:
     """Grasps of object classes in arrays (c, g, ...), padded with zeros to the largest number of grasps of a class.
 
-    There is one of `arrays` for each array that `load` returns for a class number: NumPy arrays (g, ...), or None
-    without grasps; it is called when a class is needed first. `is_grasp` (c, g) says whether there is a grasp at each
-    place.
+    The function `load` is called when a class is needed first: it takes the class number, and returns NumPy arrays
+    (g, ...) of the class's grasps, or None without grasps. `arrays` has a padded array for each of them; `is_grasp`
+    (c, g) is False at padding.
     """
 
     def __init__(self, load: Callable[[int], tuple[Array, ...] | None], arrays: ArrayFactory = NUMPY_ARRAYS) -> None:

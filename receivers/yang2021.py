@@ -57,10 +57,9 @@ class YangConfig(CheckedConfig):
         preferred_pose: (7,) world pose (quaternion xyzw) of the hand link near which a standoff has a low cost.
         rotation_weight: Weight of rotations relative to squared distances in a standoff's cost (m^2).
         max_candidates: Maximum number of grasps that are checked for reachability.
-        region_width: Half width, for a standoff at the grasp, of the region around the line from
-            standoff to grasp in which the hand link moves straight to the grasp (m).
-        region_slope: Growth of the region's width with the distance of the standoff from the grasp
-            (1/m), relative to `region_width`.
+        region_width: Half width of the region around the line from standoff to grasp in which the hand link moves
+            straight to the grasp, for a line of length 0 (m).
+        region_slope: Relative increase of this half width per metre of the line's length (1/m).
         region_max_width: Maximum half width of the region around the line (m).
         angle_tolerance: Maximum rotation error of the hand link in the region and at the grasp (rad).
         step_length: Length of a step from standoff to grasp (m).

@@ -48,7 +48,7 @@ class HandoverBenchmark(StepBenchmark):
 
     @classmethod
     def configure_render(cls, mode: str) -> dict[str, str]:
-        """Return no variables of the environment, since the camera is rendered by the processor."""
+        """Return no environment variables, since the camera is rendered on the CPU."""
         return {}
 
     def get_tasks(self) -> list[dict[str, Any]]:

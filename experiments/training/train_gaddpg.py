@@ -45,8 +45,8 @@ class Args(ImitationArgs):
         episodes: Number of rollouts of each scenario in the first round; one in later rounds.
         repeated_share: Share of the scenarios that have a rollout in each round after the first.
         waits: Initial waiting times (s) of the receiver in evaluations; their mean success rate selects the network.
-        spare_steps: Number of decisions that should be left when the hand reaches a grasp. The expert's 20 are the
-            fastest approach; fewer make it slower, since the giver may still move.
+        spare_steps: Number of decisions that should be left when the hand reaches a grasp. The expert leaves 20;
+            with fewer, the approach is slower, because the giver may still move.
         max_steps: Largest number of actions in the network's approach to a grasp.
     """
 

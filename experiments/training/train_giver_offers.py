@@ -62,7 +62,7 @@ class Args(SetupArgs):
         num_envs: Number of environments.
         workers: Number of processes that simulate the environments, a multiple of the number of receivers.
         spread: Standard deviation of the random offers.
-        candidates: Numbers of random offers of which the best is taken; one of them is drawn for each choice.
+        candidates: Numbers of random offers of which the best is taken; each choice draws one of these numbers.
         width: Width of the two hidden layers of the network.
         dropout: Share of the hidden units that are left out in a gradient step.
         updates: Number of gradient steps in each training of the network.
@@ -193,7 +193,7 @@ def fit(offers: Offers, args: Args, seed: int) -> DenseNetwork:
 
 
 def train(args: Args, folder: Path) -> Offers:
-    """Collect offers until the number of episodes is reached, and return all of them, which `folder` has, too."""
+    """Collect offers until the number of episodes is reached; return all of them, which are stored in `folder`."""
     torch.set_num_threads(1)
     path, offers = folder / OFFERS, None
     if path.exists():

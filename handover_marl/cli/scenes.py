@@ -166,7 +166,7 @@ def check(folder: Folder, /) -> None:
 def preview(
     folder: Folder, scene: int, /, out: Annotated[str, tyro.conf.arg(metavar="FILE")], progress: Progress = True
 ) -> None:
-    """Render a scene with a robot that does not move, as a page that plays it in three dimensions, image or video.
+    """Render a scene with a robot that does not move, as a 3D replay page, an image or a video.
 
     Args:
         folder: Folder of custom scenes.

@@ -175,7 +175,7 @@ class OfficialDataset(Dataset):
         return None if path is None else self._load_grasps(path)
 
     def check_scenes(self, scene_ids: tuple[int, ...]) -> None:
-        """Check that all files of the given scenes exist and that the grasp files of their objects can be read."""
+        """Check that all files of the given scenes exist and that the grasps of the handed-over objects can be read."""
         for scene_id in scene_ids:
             info = self.load_info(scene_id)
             self._find_scene_assets(info)

@@ -62,7 +62,7 @@ def open_dataset(dataset: str = AUTO, data_dir: str | os.PathLike[str] | None = 
 
     Raises:
         UnknownNameError: The data set or the robot does not exist.
-        OptionError: A data folder is given for the synthetic scenes, or is not a path.
+        OptionError: A data folder is given for synthetic or generated scenes, has other scenes, or is not a path.
         DataNotFoundError: DexYCB is requested without a data folder, or the folder is missing.
     """
     given = None if data_dir is None else str(check_path("data_dir", data_dir))

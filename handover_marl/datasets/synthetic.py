@@ -32,7 +32,7 @@ class SyntheticDataset(HandoverGenerator):
     scene_format = "03d"
 
     def generate(self, scene_id: int) -> GeneratedHandover:
-        """Generate the scene with an existing number."""
+        """Generate the scene `scene_id`, which must exist (not checked)."""
         return _generate_scene(scene_id)
 
     def find_side(self, scene_id: int) -> str:

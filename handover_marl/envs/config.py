@@ -33,7 +33,7 @@ class EnvConfig(SceneConfig):
             returns terms by agent; a combination (`combine_rewards`); or text `module:name` that names one of these.
         max_cycles: Control steps after which an episode is truncated; default: never.
         obs_mode: Observation mode of the receiver: parts joined by "+", such as "state" or "rgb+depth+pointcloud"; see
-            `handover_marl.episode.spaces.OBS_PARTS`. Data of cameras are those of all `cameras`.
+            `handover_marl.episode.spaces.OBS_PARTS`. Camera parts contain the data of each camera in `cameras`.
 
     Raises:
         UnknownNameError: There is no such physics, observation mode, reward, renderer, camera or
@@ -74,7 +74,7 @@ class EnvConfig(SceneConfig):
 
 
 def make_env_config(config: EnvConfig | None, fields: Mapping[str, Any]) -> EnvConfig:
-    """Return a given environment configuration, or make one from its fields, which must be empty if it is given."""
+    """Return `config`, or make a configuration from `fields` if it is None; else `fields` must be empty."""
     if config is None:
         return EnvConfig(**fields)
     if not isinstance(config, EnvConfig):

@@ -111,8 +111,8 @@ def set_discount(rewards: RewardLike, discount: float) -> Any:
 class RewardSource:
     """Source of both agents' reward terms in n episodes; the terms of an agent must have different names.
 
-    The argument `rows` (r,) of methods has indices of episodes. Each episode gets a deep copy of a reward object, so
-    that episodes do not share its attributes.
+    The argument `rows` (r,) of methods has indices of episodes. Each episode gets a deep copy of a user-defined reward,
+    or an instance of its own if that is a class, so that episodes share no attributes.
 
     Args:
         rewards: Any value that `rewards` accepts.

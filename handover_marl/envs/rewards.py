@@ -56,6 +56,7 @@ class Steps:
 
     Attributes:
         states: Stored states (r, 4, 19) after the last four steps, the newest last; NaN before the start of an episode.
+            The columns are those of `WeightedRewardSource._summarize`.
         state: Whole state after the step, the arrays that `StepData.read_state` returns.
         status: Bits (r,) of `EpisodeStatus` after the step.
         goal: (3,) position to which the gripper must bring the object, world frame (m).
@@ -128,7 +129,10 @@ def compute_path(position: slice, steps: Steps) -> AnyArray:
 
 
 def compute_jerk(position: slice, steps: Steps) -> AnyArray:
-    """Return (r,) the norm of the third difference of positions, in columns `position`, over duration^2 (m/s^2)."""
+    """Return (r,) the norm of the third difference of positions, in columns `position`, over duration^2 (m/s^2).
+
+    It is 0 if one of the four positions is NaN, or if the three steps between them differ in duration.
+    """
     a, b, c, d = (steps.states[:, number, position] for number in range(_COUNT))
     jerk = compute_lengths(d - 3.0 * c + 3.0 * b - a) / steps.duration**2
     xp, durations = get_namespace(jerk), steps.states[:, 1:, _TIME] - steps.states[:, :-1, _TIME]
@@ -274,7 +278,11 @@ class WeightedRewardSource:
         return {agent: {name: own[name] * values[name] for name in own} for agent, own in self._weights.items()}
 
     def _summarize(self, state: Mapping[str, AnyArray]) -> AnyArray:
-        """Return the columns (r, 19) of a state that `Steps.states` stores, float64."""
+        """Return the stored states (r, 19) of `Steps.states`, float64.
+
+        Columns: time (s), gripper pose (7), object position (3), whether the object is grasped, wrist position (3), its
+        displacement from the recording (3), and whether the object is held out.
+        """
         xp = self._xp
         columns = [
             state["time"],

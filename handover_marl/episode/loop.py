@@ -321,7 +321,7 @@ def run_episode(
 def derive_giver_seed(seed: int | None, scene_id: int) -> int:
     """Derive the seed of a giver: a hash of the run's seed and the scene number.
 
-    Only the giver may use this seed. From other draws with it that a receiver observes, such as camera noise, the
+    Only the giver may use this seed. If it also seeded draws that a receiver observes, such as camera noise, the
     receiver could find the scene number by trying all numbers.
 
     Args:

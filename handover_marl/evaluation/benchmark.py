@@ -90,7 +90,7 @@ def evaluate_pair(
     """Evaluate a giver with a receiver on the scenes of a split, under the official or other rules.
 
     Args:
-        giver: The person's policy, given as `receiver` is; "replay" is the official giver. Or a
+        giver: The person's policy, in the same forms as `receiver`; "replay" is the official giver. Or a
             whole `handover_marl.EvaluationConfig`.
         receiver: The robot's policy: a registered name, a class or an instance, as for `benchmark`.
         setup: Official setup, "s0" to "s3", or a setup of other data; default: the first of the dataset.

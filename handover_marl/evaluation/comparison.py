@@ -127,7 +127,7 @@ def compare(first: str | os.PathLike[str], second: str | os.PathLike[str]) -> Co
 
     Raises:
         ResultsError: A folder or file is not readable, or the folders cannot be compared: other splits or
-            datasets, no common scene, or different data (checked within one version).
+            datasets, no common scene, or different data (checked if both have the same version).
     """
     report, other = load_report(first), load_report(second)
     for key in ("setup", "split", "dataset"):

@@ -122,8 +122,8 @@ def build_configs(
 ) -> tuple[EvaluationConfig, ExecutionConfig]:
     """Build the configurations of evaluation and execution from the arguments of a public function.
 
-    The setup may be a whole configuration, which no option may contradict, and for which other `arguments` are ignored.
-    Options are fields of both configurations.
+    Options are fields of both configurations. If `setup` or `execution` is a whole configuration, options with its
+    fields raise `OptionError`; if `setup` is one, other `arguments` are ignored.
     """
     names = {field.name for field in fields(ExecutionConfig)}
     execution_options = {key: value for key, value in options.items() if key in names}
@@ -139,7 +139,7 @@ def build_configs(
 
 
 def resolve_config(config: EvaluationConfig, trust: bool = False) -> tuple[EvaluationConfig, Dataset]:
-    """Check the names of a configuration, and return it with a setup, scenes and `PolicyReference`s, and its dataset.
+    """Check a configuration; return it with its setup, scenes and `PolicyReference`s filled in, and its dataset.
 
     With `trust`, policy files may run code.
     """

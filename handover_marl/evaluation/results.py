@@ -220,7 +220,10 @@ class ResultFolder(EpisodeWriter):
             )
 
     def read(self, index: int, fingerprint: str) -> EpisodeResult | None:
-        """Read the result of a scene by its index in the split; None if the result file is missing or damaged."""
+        """Read the result of a scene by its index in the split; None if the result file is missing or damaged.
+
+        A result whose data had another hash than `fingerprint` raises `ResultsError`.
+        """
         path = get_result_path(self.path, index)
         try:
             result = read_result(path)[0] if path.is_file() else None

@@ -155,8 +155,8 @@ def verify(
 
     Raises:
         ResultsError: The folder cannot be read, or was made with another world.
-        OptionError: The folder's giver must be passed.
-        UnsafeFileError: The folder names a class of a module as its giver, and is not trusted.
+        OptionError: `giver` must be passed, because the folder names one that is not registered.
+        UnsafeFileError: The folder names a class of a module as its giver, and `trust` is not set.
         SceneError: A scene is not in the split.
         DataNotFoundError, DataFormatError: Files are missing or damaged.
     """

@@ -19,7 +19,7 @@ _STALE_S = 24 * 3600.0
 
 
 def write_atomically(path: Path, content: bytes | str) -> None:
-    """Write a file under a temporary name in the same folder, then rename it."""
+    """Write a file under a temporary name in the same folder, then rename it; raise `ResultsError` if this fails."""
     with _write_temporary(path, content) as temporary:
         temporary.replace(path)
 
@@ -55,7 +55,7 @@ def remove_stale_temporaries(folder: Path) -> None:
 
 @contextlib.contextmanager
 def exclusive_lock(folder: Path) -> Iterator[None]:
-    """Hold an exclusive lock on a folder during a `with` block.
+    """Hold an exclusive lock on a folder during a `with` block; raise `ResultsError` if another process holds it.
 
     On a file system without locks this has no effect.
     """
@@ -120,7 +120,7 @@ def render_template(package: str, template: str, escape: bool = False, **content
 
 
 def shorten_text(value: object) -> str:
-    """Return a value or exception as one line of at most 200 characters, for messages."""
+    """Return a value or exception as one line for messages, cut after 200 characters."""
     try:
         text = f"{type(value).__name__}: {value}" if isinstance(value, BaseException) else str(value)
     except (ValueError, RecursionError):  # huge integers, containers that contain themselves

@@ -212,7 +212,8 @@ def run_ray_task(
 ) -> bytes:
     """Run a task of a job in a worker process of Ray and return its pickled result, see `run_pickled_task`.
 
-    The node must have the main machine's `versions` of packages; its import path, `search_path`, is searched last.
+    The node must have the main machine's `versions` of packages. The main machine's import path, `search_path`, is
+    searched last.
     """
     installed = get_installed_versions()
     different = [f"{name} {installed[name]} there, {wanted} here" for name, wanted in versions.items()

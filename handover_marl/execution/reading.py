@@ -61,7 +61,7 @@ def cached_by_file(
 def check_plain_file(path: Path, largest: int = MAX_FILE_BYTES) -> int:
     """Check that a path is a plain file, or a link to one, of at most `largest` bytes; return its size (bytes).
 
-    Call it before code that opens the path itself.
+    Other paths raise `ValueError` or `OSError`. Call it before code that opens the path itself.
     """
     state = path.stat()
     if not stat.S_ISREG(state.st_mode):

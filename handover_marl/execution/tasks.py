@@ -83,7 +83,7 @@ def pickle_result(result: object) -> bytes:
 
 
 def unpickle_result(pickled: bytes) -> Any:
-    """Return the result of a task, given what `run_pickled_task` returned."""
+    """Return the result that `run_pickled_task` pickled, or raise the error that ended the task."""
     result = unpickle(pickled)
     if isinstance(result, HandoverError):
         raise result

@@ -35,10 +35,10 @@ class AdaptiveConfig(CheckedConfig):
 
     Attributes:
         patience: Time without an approach after which the giver varies its handover pose (s).
-        offers: Number of random offers of which the best is chosen; 1 is the recorded handover pose.
+        offers: Number of random offers of which the best is chosen; the first has the recorded handover pose.
         spread: Standard deviation of the random offers, relative to the bounds of `HandoverPoseScheme`.
-        reach_cost: Reduction of an offer's score, a probability, for each metre that the person reaches farther than in
-            the recording (1/m).
+        reach_cost: Reduction of an offer's score (0 to 1) for each metre that the person reaches farther than in the
+            recording (1/m).
     """
 
     patience: float = bounded(6.0, 0.0, 60.0)
@@ -95,7 +95,7 @@ class AdaptiveGiver(ArrayGiver):
         self._scheme.reset(row)
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return the actions (r, 8) in the episodes `rows`: to the chosen offers, as soon as they are chosen."""
+        """Return the actions (r, 8) in the episodes `rows`: replay until an offer is chosen, then move to it."""
         needed = to_numpy(self._scheme.needs_outputs(rows, observation)).nonzero()[0]
         for place in needed.tolist():
             own = {key: to_numpy(values[place : place + 1]) for key, values in observation.items()}

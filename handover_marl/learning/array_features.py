@@ -149,10 +149,10 @@ class GiverFeatures(ArrayFeatures):
 class ReceiverFeatures(ArrayFeatures):
     """Features (56) from which a receiver can take an object to the goal.
 
-    In the gripper frame: positions of the object, the person's wrist, the mean of the person's fingers and the goal,
-    the object's orientation, and the world's vertical. Then follow the robot's finger joints and their velocities, its
-    arm joints, whether the object was released, the elapsed share of the episode, whether a hand is present, and the
-    YCB class of the object (one-hot; zeros for another class).
+    In the gripper frame: positions (m, times 5) of the object, the person's wrist, the mean of the person's fingers and
+    the goal, the object's orientation, and the world's vertical. Then follow the robot's finger joints and their
+    velocities, both scaled, its arm joints (rad), whether the object was released, the elapsed share of the episode,
+    whether a hand is present, and the YCB class of the object (one-hot; zeros for another class).
     """
 
     name, agent, size = "receiver", "receiver", 35 + LARGEST_YCB_CLASS
@@ -282,7 +282,7 @@ class GraspProximityFeatures(GraspFeatures):
 
 
 class StackedFeatures(GraspProximityFeatures):
-    """Features `close` of the last decisions of each episode, those of the present decision first.
+    """Features of `GraspProximityFeatures` at the last N_STACKED decisions of each episode, the present one first.
 
     Zeros stand for decisions before the first. From a stack, a policy without memory can estimate velocities and how
     its partner reacts.

@@ -203,7 +203,7 @@ def _get_name(choice: object) -> str:
 
 
 def _make_instances(kind: str, agent: str, choice: Any, context: PolicyContext, count: int) -> list[Any]:
-    """Return `count` instances of a class, or copies of a function; those with a method `reset` share no memory."""
+    """Return `count` instances of a class; or a function `count` times, as deep copies if it has a method `reset`."""
     what, declared = f"{kind} {_get_name(choice)!r}", getattr(choice, "agent", None)
     if isinstance(declared, str) and declared != agent:
         raise OptionError(f"{what} must be for the {agent}, got some for the {declared}; change its attribute agent")

@@ -46,7 +46,7 @@ class HandoverPoseScheme(ArrayScheme):
 
     | outputs | meaning at 1, in the frame of `compute_handover_frames` |
     |---|---|
-    | 0-2 | translation of the object: 0.25 m towards the gripper, 0.25 m to its left, 0.25 m up |
+    | 0-2 | translation of the object by 0.25 m: towards the gripper, to the left of this direction, and up |
     | 3-5 | rotation of hand and object by 1 rad about these axes through the object's center |
     | 6 | withdrawal of the hand by 0.3 m after the release; at -1 it stays |
 

@@ -58,7 +58,7 @@ class GraspCosts:
 
     Attributes:
         rotation_weight: Weight of the gripper's rotation in the cost of its motion (m/rad).
-        hold_weight: Weight of the cost of a grasp that may not hold, which is in seconds (m/s).
+        hold_weight: Weight (m/s) of the cost (s) of a grasp that may not hold.
         desired_clearance: Desired distance of the person's fingers from the gripper on its approach (m).
         clearance_weight: Weight of the amount by which the clearance is below the desired one.
         min_clearance: Clearance below which a grasp has the additional cost `contact_cost` (m).
@@ -135,9 +135,10 @@ class GraspCosts:
 
 @functools.lru_cache(maxsize=1024)
 def load_validated_grasps(context: PolicyContext, object_class: int) -> tuple[Array, Array] | None:
-    """Return poses (n, 7) of a class's grasps and half turns in its frame, and costs (n,) in s of those that may slip.
+    """Return the validated grasps of an object class and their half turns, with costs; None without known grasps.
 
-    The grasps are validated in simulation, which takes minutes the first time for an object of the user.
+    Grasps are poses (n, 7) in the object's frame; costs (n,) in s are higher for grasps that may slip. The validation
+    in simulation takes minutes the first time for an object of the user.
     """
     config = ReactiveConfig()
     graspable = load_graspable_object(context, context.object_names[object_class], config)
@@ -151,12 +152,12 @@ def load_validated_grasps(context: PolicyContext, object_class: int) -> tuple[Ar
 class LowestCostGraspSelector:
     """Selector of the grasp of lowest cost, for each of n episodes.
 
-    Candidates are the validated grasps of the receiver `reactive`, tilted copies and half turns. The cost of a grasp
-    (m) is the sum of: the distance of the gripper from it; the weighted angle between their orientations; the weighted
-    cost of a grasp that may not hold; the weighted missing clearance to the person's hand, which is larger if the
-    gripper would touch the hand; and the weighted distance of the nearest pose that the arm can reach. The weights are
-    those of `GraspCosts`. Selections are kept until the observation changes, since features and action schemes query
-    the same ones.
+    Candidates are the validated grasps of the receiver `reactive`, which include tilted copies, and each of them turned
+    by 180 degrees about its approach axis. The cost of a grasp (m) is the sum of: the distance of the gripper from it;
+    the weighted angle between their orientations; the weighted cost of a grasp that may not hold; the weighted missing
+    clearance to the person's hand, plus a fixed cost if the gripper would touch the hand; and the weighted distance of
+    the nearest pose that the arm can reach. The weights are those of `GraspCosts`. Selections are kept until the
+    observation changes, since features and action schemes query the same ones.
 
     Args:
         context: Context of a policy, with the objects and their grasps.
@@ -223,8 +224,8 @@ class LowestCostGraspSelector:
     def _find_best(self, index: AnyArray, objects: AnyArray, observation: Observation) -> tuple[AnyArray, AnyArray]:
         """Return the best grasps (r, 7) in the objects' frames, and the clearances (r,) of the persons' hands there.
 
-        Clearances are computed for the grasps of lowest cost, and the reach for those of lowest cost then, as far as it
-        can change the choice.
+        Clearances are computed only for the `_N_CLEARANCES` grasps of lowest motion and hold cost, and the reach only
+        for the `_N_REACHES` of these with the lowest cost so far, where it can change the choice.
 
         Args:
             index: Index (r,) of each object class in the table of grasps.

@@ -130,9 +130,9 @@ class OfferFeatures:
     def _compute_set(
         self, observation: Observation, objects: Array, grasps: Array, hold_costs: Array
     ) -> tuple[Array, Array]:
-        """Return features 0-12 of grasps (g, 7), (k, 13), and the nearest and the best grasps, (k, 5, 7).
+        """Return features 0-12 of a set of grasps at k offers (k, 13), and the nearest and four best grasps (k, 5, 7).
 
-        World poses (k, 7) are those of the offered object, costs (g,) are in seconds.
+        `objects` (k, 7) are world poses of the offered object; `grasps` (g, 7) in its frame have hold costs (g,) in s.
         """
         joints = inverse_transform_points(observation["object_poses"][:, :1], observation["hand_keypoints"])
         clearances = self._costs.compute_clearances(grasps[None], joints)[0]
@@ -161,7 +161,7 @@ def compute_offer_scores(outputs: AnyArray) -> AnyArray:
 
 @functools.lru_cache(maxsize=1024)
 def _load_known_grasps(context: PolicyContext, object_class: int) -> tuple[Array, Array] | None:
-    """Return poses (n, 7) of a class's known grasps and half turns in its frame, and their hold costs (n,), all 0."""
+    """Return a class's known grasps and their half turns, poses (n, 7) in its frame, and zeros (n,) as hold costs."""
     poses = load_hand_poses(context.load_grasps, context.object_names[object_class])
     if poses is None:
         return None

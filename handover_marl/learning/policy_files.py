@@ -3,7 +3,7 @@
 | suffix | content | loading |
 |---|---|---|
 | .npz | weights of a `DenseNetwork`, and a `PolicySpec` as JSON; written by `export_policy` | always safe |
-| .zip | Stable-Baselines3 model of an environment of `control_agent` or `encode` | code: needs trust, extra `train` |
+| .zip | Stable-Baselines3 model trained with `control_agent` or `encode` | may run code: needs trust, extra `train` |
 """
 
 import hashlib

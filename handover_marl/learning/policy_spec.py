@@ -149,7 +149,7 @@ class DenseNetwork:
     def __call__(self, inputs: AnyArray) -> AnyArray:
         """Return the outputs (n_outputs,) for inputs (n_inputs,), or (r, n_outputs) for r inputs (r, n_inputs).
 
-        The outputs of NumPy arrays for r inputs equal those for each of them to the bit.
+        With NumPy arrays, a batch of r inputs gives bit-identical outputs to r calls with one input each.
         """
         xp = get_namespace(inputs)
         values = xp.astype(inputs, xp.float32) if self.normalization is None else self.normalization(inputs)

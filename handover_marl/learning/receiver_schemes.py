@@ -37,7 +37,7 @@ class JointScheme(ArrayScheme):
         self._low, self._high = self._arrays.asarray(LOWER_LIMITS), self._arrays.asarray(UPPER_LIMITS)
 
     def _limit_targets(self, arm: AnyArray, closed: AnyArray) -> AnyArray:
-        """Return limited joint targets (r, 9) from those of arms (r, 7) in rad, and whether grippers close, (r,)."""
+        """Return targets (r, 9) within the joint limits for `arm` (r, 7) in rad; grippers close where `closed` (r,)."""
         xp = self._arrays.xp
         clipped = arm.clip(self._low[:ARM_DOF], self._high[:ARM_DOF])
         fingers = xp.where(closed, CLOSED, OPEN)[:, None]
@@ -79,7 +79,7 @@ class JointDeltaScheme(JointScheme, InvertibleScheme):
         return self._limit_targets(arm, outputs[:, ARM_DOF] > 0.0)
 
     def outputs_from_actions(self, actions: AnyArray, observation: Observation) -> AnyArray:
-        """Return the outputs (r, 8) for target positions (r, 9), with the same direction if they are too far away."""
+        """Return the outputs (r, 8) for target positions (r, 9); too long steps are shortened in the same direction."""
         xp, arm = self._arrays.xp, observation["robot_joint_position"][:, :ARM_DOF]
         deltas = _limit_largest((widen(actions[:, :ARM_DOF]) - arm) / self.step)
         return xp.concat([deltas, self._encode_fingers(actions)], axis=1)
@@ -138,7 +138,7 @@ class CartesianDeltaScheme(HandMotionScheme, InvertibleScheme):
         return self._move(observation, translations, rotations, outputs[:, 6] > 0.0)
 
     def outputs_from_actions(self, actions: AnyArray, observation: Observation) -> AnyArray:
-        """Return the outputs (r, 7) for target positions (r, 9), with the same direction if they are too far away."""
+        """Return the outputs (r, 7) for target positions (r, 9); too long steps are shortened in the same direction."""
         xp, arm = self._arrays.xp, widen(observation["robot_joint_position"][:, :ARM_DOF])
         jacobian, _, axes = self._robot.compute_hand_jacobians(arm)
         twist = xp.sum(jacobian * (widen(actions[:, :ARM_DOF]) - arm)[:, None], axis=2)
@@ -234,7 +234,10 @@ class GraspServoScheme(HandMotionScheme):
     def _find_targets(
         self, rows: AnyArray, observation: Observation, gripper: AnyArray, present: AnyArray
     ) -> tuple[AnyArray, AnyArray]:
-        """Return target positions (r, 3) in m and quaternions xyzw (r, 4) in the world, for hand links at `gripper`."""
+        """Return target positions (r, 3) in m and quaternions xyzw (r, 4) in the world, before outputs correct them.
+
+        Hand links have the world poses `gripper` (r, 7), whose normalized quaternions are `present` (r, 4).
+        """
         xp, (grasps, _, exists) = self._arrays.xp, self._selector.select(rows, observation)
         orientation = normalize_quaternions(xp.where(exists[:, None], grasps[:, 3:], present))
         standoff = self._compute_standoffs(gripper[:, :3] - grasps[:, :3], present, orientation)
@@ -245,7 +248,10 @@ class GraspServoScheme(HandMotionScheme):
         return xp.where(released, self._goal, position), xp.where(released, present, orientation)
 
     def _compute_standoffs(self, offsets: AnyArray, present: AnyArray, target: AnyArray) -> AnyArray:
-        """Return standoffs (r,) in m for hand links at `offsets` (r, 3) from grasps (m) and quaternions `present`."""
+        """Return standoffs (r,) in m for hand links at `offsets` (r, 3) from grasps, in m in the world frame.
+
+        World quaternions (r, 4) are those of the hand links, `present`, and of the grasps, `target`.
+        """
         xp = self._arrays.xp
         local = rotate_points(conjugate_quaternions(target), offsets)
         angle = compute_rotation_magnitudes(multiply_quaternions(conjugate_quaternions(present), target))

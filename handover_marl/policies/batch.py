@@ -39,7 +39,7 @@ class PolicyBatch(ABC):
         Args:
             row: Index of the episode.
             seed: Seed of the policy in this episode.
-            object_names: Class names of the objects, the one that is handed over first.
+            object_names: Class names of the objects; the first object is handed over.
         """
 
     @abstractmethod
@@ -73,7 +73,7 @@ class SequentialPolicyBatch(PolicyBatch):
         self._due = np.zeros(len(policies), dtype=np.int64)
 
     def reset(self, row: int, seed: int | None, object_names: Sequence[str]) -> None:
-        """Start episode `row` with a seed of the policy and the objects' class names, the handed-over one first."""
+        """Start episode `row` with the policy's seed and the class names of the objects; the first is handed over."""
         start_policy(self._policies[row], seed, object_names)
         self._due[row] = 0
 
@@ -153,7 +153,7 @@ class ArrayPolicyBatch(PolicyBatch):
         self._due = arrays.zeros(count, "int64")
 
     def reset(self, row: int, seed: int | None, object_names: Sequence[str]) -> None:
-        """Start episode `row` with a seed of the policy and the objects' class names, the handed-over one first."""
+        """Start episode `row` with the policy's seed and the class names of the objects; the first is handed over."""
         self._due[row] = 0
         self._policy.prepare(object_names)
         self._policy.start(row, seed)

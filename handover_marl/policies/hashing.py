@@ -2,7 +2,7 @@
 
 A hash covers the library's version, the source files that define a policy, and the values, arrays and files that it
 holds. The hash is equal in every process, also in a script with the policy's code. Code without a source file, as at a
-prompt or in a notebook, gets another hash every time, so that its results can be neither resumed nor verified.
+prompt or in a notebook, gets another hash every time, so that its evaluation cannot be resumed.
 """
 
 import contextlib
@@ -132,7 +132,7 @@ def _is_installed(name: str) -> bool:
 
 
 def _describe(value: Any, seen: dict[int, object], arrays_only: bool, depth: int = 0) -> Iterator[bytes]:
-    """Yield the bytes to hash of a value and of all that it refers to, but for objects in `seen`, which it extends."""
+    """Yield the bytes to hash of a value and of all that it refers to; skip objects in `seen`, and add the others."""
     if isinstance(value, _PLAIN) and not arrays_only:
         yield repr(value).encode()
     if isinstance(value, _PLAIN) or id(value) in seen or depth > _MAX_DEPTH:

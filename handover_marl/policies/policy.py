@@ -138,7 +138,7 @@ class Policy(ABC):
         the objects only.
 
         Args:
-            object_names: Class names such as "025_mug", the object that is handed over first.
+            object_names: Class names such as "025_mug"; the first object is handed over.
         """
 
     @abstractmethod
@@ -186,7 +186,7 @@ class Policy(ABC):
         """Time (s) for which the last action is held; default: the control period.
 
         Subclasses may override it to act more often in some phases. Evaluations, and environments in which
-        the policy is a fixed partner, call it after exactly this time.
+        the policy is a fixed partner, call `act` again after exactly this time.
         """
         return self.control_period
 
@@ -297,7 +297,7 @@ def get_parameters(policy_class: type) -> dict[str, inspect.Parameter]:
 
 
 def require_reset(part: _Part | None, receiver_name: str) -> _Part:
-    """Return a part of a receiver that `reset` creates, if it exists.
+    """Return a part of a receiver that `reset` creates; raise a `ResetNeededError` if it is None.
 
     Args:
         part: The part, None before the first reset.

@@ -169,7 +169,7 @@ class PolicyReference:
 
         Returns:
             For each file the option that names it, "" for the policy file; its name, "folder/file" for the files of a
-            folder; and its content. Options that name nothing are left to the policy.
+            folder; and its content. Options whose value is no existing file, such as a name, are left out.
         """
         found = [] if self.file is None else [("", "", Path(self.file).expanduser())]
         for option, value in self.options:

@@ -19,8 +19,8 @@ class RobotMotionBounds:
     """Bounds on the motion of a Panda's links, from spheres around their collision shapes.
 
     In every step, a joint moves towards its target by a fixed fraction of its error. While its motor is too weak to
-    stop it, it may also move on at its present speed. No point of the arm therefore moves farther than the sum over
-    all joints of both motions, times the largest distance of the links that a joint carries from that joint.
+    stop it, it may also move on at its present speed. A point of the arm therefore moves at most by the sum, over all
+    joints, of both motions times the distance from the joint to the farthest point that it carries.
 
     Args:
         tree: Kinematic tree of the robot.

@@ -169,9 +169,9 @@ _Show: TypeAlias = Callable[[int, ReplayFrame], None]
 
 
 def _make_setter(handle: Any) -> Callable[..., None]:
-    """Return a function that sets properties of a viser element by name, but not to the values that they have.
+    """Return a function that sets properties of a viser element by name, if their values change.
 
-    Only changes are recorded then, since they determine the size of the page.
+    Only changes are recorded, because every recorded value makes the page larger.
     """
     shown = dict[str, Any]()
 

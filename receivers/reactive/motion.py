@@ -72,7 +72,7 @@ class MotionController:
         return self.move_open(self._separate(self._compute_home_velocity(), self._config.hand_clearance))
 
     def move_to(self, goal: Array, surface: Spheres) -> Action:
-        """Return the action towards arm joints (7,) in rad; it avoids the person's hand and the object's `surface`."""
+        """Return the action to joints (7,) in rad, clear of person and object; `surface` is in the object's frame."""
         velocity = self.servo.limit_speed(self.servo.compute_goal_velocity(self.scene.arm_joints, goal))
         return self.move_open(self._separate(velocity, self._config.hand_clearance, surface=surface))
 

@@ -23,8 +23,8 @@ class ReactiveReceiver(ControllerReceiver):
         wait: Time at the waiting pose (s).
         risk: Trade-off between success rate (0) and speed (1).
         config: Configuration of the receiver for a risk of 0.5.
-        options: Numbers of the configuration, such as `approach_standoff=0.1`, which `risk` does not change; see
-            `override_options`.
+        options: Numbers of the configuration, such as `approach_standoff=0.1`, which are set after `risk` is applied;
+            see `override_options`.
     """
 
     name = "reactive"

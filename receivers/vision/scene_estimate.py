@@ -106,9 +106,9 @@ class PointCloudSceneEstimate(SceneEstimate):
             self._update_obstacles(others)
 
     def has_released(self, closing_since: float) -> bool:
-        """Return whether the person seems to have released the object, by the fingers, which close since a time (s).
+        """Return whether the person seems to have released the object, judged by fingers that close since a time (s).
 
-        The fingers must have been at rest for a while, or not have closed fully for a longer time.
+        The fingers must have been at rest for a while, or still be partly open after a longer time.
         """
         if closing_since != self._closing_since:
             self._closing_since = self._moved_at = closing_since
@@ -120,7 +120,7 @@ class PointCloudSceneEstimate(SceneEstimate):
         return (is_late and not self.are_fingers_closed) or self.time - self._moved_at > _RELEASE_DELAY
 
     def _set_lost_timeouts(self) -> None:
-        """Set for how long the object may be out of sight: longer at rest, since paths lead around other objects."""
+        """Set for how long the object may be out of sight: longer if at rest, since paths avoid other objects."""
         is_settled = self.is_settled
         self._search_timeout = HIDDEN_TIMEOUT if is_settled else SEARCH_TIMEOUT
         self.tracker.lost_timeout = HIDDEN_TIMEOUT if is_settled else LOST_TIMEOUT

@@ -62,7 +62,7 @@ class CustomSceneFolder:
         name: Name of the data set in results; default: the name of the folder.
 
     Raises:
-        OptionError: `folder` is not a path, or the folder has another name.
+        OptionError: `folder` is not a path, or its `scenes.json` has another name than `name`.
         ResultsError: The folder has files, but no `scenes.json`.
         DataFormatError: The file `scenes.json` is damaged.
     """
@@ -173,7 +173,7 @@ class CustomSceneFolder:
             recording: Name of the recording; default: the number of the scene.
             side: Hand of the person, "right" or "left".
             hand: Number of the shipped hand, 1 to 10, by default a man's of mean length; None for a scene without a
-                hand. Its fingers follow the recording, or close on the object before it leaves its place.
+                hand. Its fingers follow the recording; if it has none, they close on the object before the pick-up.
             others: Classes of the other objects on the table, each with poses in the recording.
 
         Returns:

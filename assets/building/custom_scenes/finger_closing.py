@@ -34,9 +34,10 @@ _SHIFTS = sorted(
 
 
 def close_hand(table: MotionTable, solid: Solid, hand: int, side: Side) -> tuple[MotionTable, Array]:
-    """Make finger angles (n, 45) in rad of a shipped hand, by number, that closes until the object is picked up.
+    """Return a recording, and angles (n, 45) in rad of fingers that close on the object until it is picked up.
 
-    Returns the recording too, with the wrist moved by up to `MAX_SHIFT` where the hand would be inside of the object.
+    `hand` is the number of a shipped hand, n that of the rows with the wrist. The returned recording equals `table`,
+    but its wrist is moved by up to `MAX_SHIFT` if the hand would be inside of the object.
     """
     if table.wrist is None:
         raise DataFormatError("fingers need a wrist; add its poses or pass hand=None")

@@ -61,7 +61,7 @@ class CustomDataset(Dataset):
         self._read_grasps = lru_cache(maxsize=None)(self._load_grasps)
 
     def list_scenes(self, setup: str | None, split: str) -> tuple[int, ...]:
-        """Return the scene numbers of a split of a setup, ascending; raise `UnknownNameError` if there are none."""
+        """Return the scene numbers of a split of a setup, ascending; raise `UnknownNameError` if the split is empty."""
         check_name("split", split, SPLITS)
         setup = self.resolve_setup(setup)
         if not self.n_scenes:
@@ -107,7 +107,7 @@ class CustomDataset(Dataset):
         return self._read_grasps(object_name)
 
     def check_scenes(self, scene_ids: tuple[int, ...]) -> None:
-        """Check that all files of scenes exist and that the objects' grasps can be read; raise `DataNotFoundError`."""
+        """Check that all files of scenes exist and grasps of handed-over objects can be read; errors: see `Dataset`."""
         for scene_id in scene_ids:
             info = self.load_info(scene_id)
             self._find_scene_assets(info)

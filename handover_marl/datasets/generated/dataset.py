@@ -66,7 +66,7 @@ _FORMAT = 1
 
 
 class GeneratedDataset(HandoverGenerator):
-    """Scenes, each a pure function of its number and of a configuration without `n`; needs no data folder.
+    """Generated scenes, each a pure function of its number and of all of `config` but `n`; needs no data folder.
 
     Args:
         config: Configuration, or its text such as "n=100000,seed=7,family=hard".
@@ -98,7 +98,7 @@ class GeneratedDataset(HandoverGenerator):
         return _draw_side(self.config, scene_id)
 
     def generate(self, scene_id: int) -> GeneratedHandover:
-        """Generate the scene with an existing number."""
+        """Generate the scene `scene_id`, which must exist (not checked)."""
         return _generate_scene(self.config, scene_id)
 
     def find_object_urdf(self, object_name: str) -> Path:

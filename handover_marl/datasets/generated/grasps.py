@@ -66,9 +66,9 @@ def draw_human_grasps(
 ) -> HumanGrasps | None:
     """Draw grasps of an object by one human hand, sorted by wrist distance; None if none is found.
 
-    In every grasp the hand is clear of the table for one of the object's axes +x, -x, +y, -y, +z, -z with a weight in
-    `up_axes`. In each of up to `n_rounds` rounds, grasps are tried from `n_pairs` surface points, and the fingers of up
-    to `n_closed` hands are closed, until `n_grasps` are found.
+    In every grasp the hand is clear of the table if one of the object's axes +x, -x, +y, -y, +z, -z with a positive
+    weight in `up_axes` points up. In each of up to `n_rounds` rounds, grasps are tried from `n_pairs` surface points,
+    and the fingers of up to `n_closed` hands are closed, until `n_grasps` are found.
     """
     templates = make_hand_templates(size)
     target = solid.mirror() if side == "left" else solid
@@ -261,7 +261,7 @@ def _encode_grasps(templates: HandTemplates, palms: Palms, rows: Ints, closed: C
 def sort_by_farthest_point(grasps: Array) -> Array:
     """Return grasps (k, 4, 4), where k may be 0, in an order in which each is farthest from all before it.
 
-    The distance is Euclidean, from the points between the fingers, and closing and approach directions scaled by 5 cm.
+    The distance is Euclidean, in the point between the fingers and in closing and approach directions times 5 cm.
     """
     if not len(grasps):
         return grasps

@@ -107,7 +107,7 @@ class RandomStream:
         return order
 
     def draw_quantile(self, name: str) -> float:
-        """Draw a number from the distribution that a quantile table of DexYCB, by its name, describes."""
+        """Draw a number from the distribution of the quantile table `name` of DexYCB."""
         return float(np.interp(self.uniform(), _LEVELS, _QUANTILES[name]))
 
     def draw_correlated_quantiles(self, first: str, second: str, correlation: float) -> list[float]:

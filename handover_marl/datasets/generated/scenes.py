@@ -88,7 +88,7 @@ class HandoverGenerator(Dataset):
 
     @abstractmethod
     def generate(self, scene_id: int) -> GeneratedHandover:
-        """Generate the scene with an existing number."""
+        """Generate the scene `scene_id`, which must exist (not checked)."""
 
     def load_info(self, scene_id: int) -> SceneInfo:
         """Generate a scene and return its description; raise `SceneError` if the number does not exist."""
@@ -107,7 +107,7 @@ class HandoverGenerator(Dataset):
 
 @lru_cache(maxsize=64)
 def make_subject_giver(class_id: int, subject: int, side: Side) -> SimulatedGiver:
-    """Return one of the ten synthetic subjects, numbered from 1, with a hand and an object of a YCB class number."""
+    """Return synthetic subject 1 to 10 as the giver of an object (YCB class number) with the right or left hand."""
     name = CLASS_NAMES[class_id]
     transforms = load_object_grasps(name)
     return SimulatedGiver(

@@ -84,8 +84,8 @@ class ArrayEpisodes:
     def start(self, row: int, scene: Scene, seed: int | None, robot_seed: int, camera_seed: int) -> None:
         """Start the episode `row` in a scene.
 
-        The seed of the partner is derived from the run seed `seed`; `robot_seed` is that of the initial joint
-        positions.
+        The seed of the partner is derived from the run seed `seed`; `robot_seed` and `camera_seed` are those of
+        `draw_seeds`.
         """
         episodes, rows = self._episodes, self.arrays.asarray([row])
         episodes.reset(row, scene, robot_seed)

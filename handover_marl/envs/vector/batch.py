@@ -111,7 +111,7 @@ def make_final_infos(
 ) -> dict[str, Any]:
     """Return an agent's infos in Gymnasium's form about episodes that ended in a step and were reset in it.
 
-    Observations (n, ...) and infos (n,) are those after the step, before the resets; `ended` (n,) masks the episodes.
+    Observations and infos (n, ...) are those after the step, before the resets; `ended` (n,) masks the episodes.
     """
     final_obs = np.full(len(ended), None, dtype=object)
     for row in np.flatnonzero(ended).tolist():

@@ -19,7 +19,7 @@ from handover_marl.geometry.arrays import NUMPY_ARRAYS, Indices
 
 
 class SingleEnvs:
-    """Environments of one configuration, `count` of which `make` makes, each simulated on its own; see `batch.Envs`."""
+    """Group of `count` environments that `make` makes one by one, each simulated on its own; see `batch.Envs`."""
 
     arrays = NUMPY_ARRAYS
 

@@ -46,8 +46,8 @@ class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
 
     With the backend "threads", all values are NumPy arrays. With "warp", observations, rewards, terminations,
     truncations and infos are PyTorch tensors on the device of the simulation, also the infos in "final_info".
-    "final_obs" is a NumPy array (n,) of objects, the tensor or the dictionary of tensors of each environment whose
-    episode has ended, and its mask "_final_obs" is a NumPy array.
+    "final_obs" is a NumPy array (n,) of objects: the tensor, or the dictionary of tensors, of each environment whose
+    episode has ended, else None. Its mask "_final_obs" is a NumPy array, too.
 
     Args:
         envs: The environments of this agent.

@@ -101,6 +101,6 @@ def control_agent(
 
     Raises:
         UnknownNameError: There is no such agent, policy or API.
-        OptionError: `env` does not have both agents, or the partner is encoded.
+        OptionError: `env` does not have both agents, or encodes the partner's observations.
     """
     return convert_api(FixedPartnerEnv(env, agent, partner, trust), api)

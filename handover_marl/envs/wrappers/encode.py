@@ -1,4 +1,4 @@
-"""Wrapper with features, or observations as they are, as observations, and with network outputs as actions."""
+"""Wrapper whose observations are features, or the original observations, and whose actions are network outputs."""
 
 import copy
 from collections.abc import Mapping
@@ -40,13 +40,13 @@ MAX_EPISODES_WITHOUT_OUTPUTS = 100
 class EncodedEnv(ParallelWrapper):
     """Wrapper whose observations are feature vectors and whose actions are network outputs, made by `encode`.
 
-    With one agent a step lasts until the action scheme, which decodes outputs into actions, needs outputs again, mostly
-    one control period, and rewards are summed over the step. An episode in which no outputs are needed is simulated to
-    its end, and another episode follows. Rewards of the control steps that `reset` simulates are not returned. With two
-    agents a step is one control period, and an action scheme that needs no outputs keeps its last outputs.
+    The action scheme decodes outputs into actions. With one agent, a step lasts until the scheme needs outputs again,
+    mostly one control period; rewards are summed over the step. An episode in which no outputs are needed is simulated
+    to its end, and another episode follows. Rewards of the control steps that `reset` simulates are not returned. With
+    two agents, a step is one control period, and an action scheme that needs no outputs keeps its last outputs.
 
     Attributes:
-        choices: Features and action scheme as they were given, by agent.
+        choices: Pair of features and action scheme by agent, as given or by default.
     """
 
     metadata: dict[str, Any] = {**HandoverEnv.metadata, "name": "handover_encoded_v0"}

@@ -102,8 +102,8 @@ def convert_to_minari(folder: str | os.PathLike[str], name: str) -> Path:
 def convert_to_lerobot(folder: str | os.PathLike[str], name: str) -> Path:
     """Write demonstrations as a data set of LeRobot, which `LeRobotDataset(name)` loads.
 
-    LeRobot stores it in the folder that the environment variable HF_LEROBOT_HOME names. The end of an episode has no
-    action and no frame. The file `meta/handover_marl.json` has the metadata of every episode.
+    LeRobot stores it in the folder that the environment variable HF_LEROBOT_HOME names. The observation at the end of
+    an episode, which has no action, is left out. The file `meta/handover_marl.json` has the metadata of every episode.
 
     Args:
         folder: Output folder of `demonstrate`, recorded with a frame rate (`fps`).

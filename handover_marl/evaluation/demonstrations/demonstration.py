@@ -86,7 +86,7 @@ class Demonstration:
         return len(self.actions)
 
     def hold_giver_actions(self) -> npt.NDArray[np.float32]:
-        """Return the giver's actions (T + 1, 8): for each of `steps`, the one that holds from it on (zeros replay)."""
+        """Return the giver's actions (T + 1, 8) in effect from each of `steps` on; zeros mean no deviation."""
         decisions = zip(self.giver_steps.tolist(), self.giver_actions, strict=True)
         return hold_actions([(0, NO_DEVIATION), *decisions], self.steps)
 

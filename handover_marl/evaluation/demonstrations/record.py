@@ -106,7 +106,7 @@ def demonstrate(
 
 
 class DemonstrationRecorder(EpisodeCallback):
-    """Recorder of observations of a mode and actions, at every decision, or with `fps` at a constant frame rate.
+    """Recorder of actions, and of observations in mode `obs_mode`: at every decision, or with `fps` at a constant rate.
 
     A frame has the observation at the physics step nearest to its time, and the actions in effect from this step on.
     """

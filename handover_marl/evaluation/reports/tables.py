@@ -103,7 +103,7 @@ def estimate_rate(count: int, n: int) -> Estimate:
 def estimate_average_success(scores: Sequence[float]) -> Estimate:
     """Estimate average success from the scores of episodes (0..1), with its bootstrap 95 % interval.
 
-    Without a success the bootstrap has no width: the interval is that of the success rate, which is never smaller.
+    Without a success the bootstrap has no width; the interval is then that of the success rate, which is at least AS.
     """
     found = estimate_mean(scores)
     return found if any(scores) or not scores else replace(found, interval_95=compute_wilson_interval(0, found.n))

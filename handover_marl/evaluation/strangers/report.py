@@ -104,7 +104,7 @@ class StrangersReport(TabularResult):
 
     @property
     def condition(self) -> dict[str, object]:
-        """Condition of the evaluation by name: `describe_condition` of all reports, evaluated agent and partners."""
+        """Condition of all reports (`describe_condition`), with the evaluated agent and the partners' code hashes."""
         key = f"{OTHER_AGENT[self.agent]}_hash"
         codes = {partner: getattr(report.metadata, key) for (_, partner), report in self.reports.items()}
         return {**describe_condition(self.first_report), "agent": self.agent, "partners": codes}
@@ -130,7 +130,7 @@ class StrangersReport(TabularResult):
         return np.array(values).reshape(len(self.policies), len(self.partners), -1)
 
     def estimate_all(self) -> dict[str, Estimate]:
-        """Return estimates (0..1) of success, contact, AS and worst partner, by key."""
+        """Return estimates (0..1) of the metrics of a method, by the keys of `COLUMNS`."""
         return self._estimate_means(range(len(self.partners))) | {
             "worst_partner_success": estimate_rate(compute_min_over_partners, self.successes, None),
             "largest_partner_contact": estimate_rate(compute_max_over_partners, self.contacts, None),

@@ -41,8 +41,8 @@ def compute_max_over_partners(returns: Array) -> float:
 def estimate(statistic: Statistic, scores: Array, families: Sequence[str] | None) -> Estimate:
     """Estimate a statistic of scores (policies, partners, scenes), 0 to 1, with a 95 % interval.
 
-    The interval covers the variation of policies, families and scenes. The jackknife leaves out a family of partners at
-    a time, or a partner if there is one family; None leaves out none, as for the worst partner.
+    The jackknife leaves out policies, scenes and families of partners one at a time, or partners if there is one
+    family. `families` has the family of each partner; with None, no partner is left out, as for the worst partner.
     """
     return _estimate(lambda own: statistic(own.mean(axis=-1)), [scores], families, 0.0)
 

@@ -91,7 +91,7 @@ class FunctionPolicy(ArrayPolicy):
 
     @property
     def weights_hash(self) -> str:
-        """Hash of the function's code and values, of weights, and of the encoding."""
+        """Hash of the function, its weights and the encoding, as the constructor got it; empty by default."""
         return self._digest
 
     @property
@@ -139,9 +139,9 @@ class FunctionPolicy(ArrayPolicy):
         return self.scheme.compute_actions(rows, observation)
 
     def _evaluate(self, inputs: Any) -> AnyArray:
-        """Return the outputs (r, n_outputs) of the function for encoded inputs: features, or observations; r may be 1.
+        """Return the outputs (r, n_outputs) of the function for r encoded inputs: features, or observations.
 
-        Functions that are no dense networks are called for one episode only.
+        r must be 1 unless the function is a `DenseNetwork`.
         """
         what = f"outputs of the {self.spec.agent} {self.name!r}"
         if not isinstance(self.function, DenseNetwork):
@@ -195,7 +195,7 @@ class TorchFunction:
         reset_function(self.module, seed)
 
     def __call__(self, inputs: Any) -> Any:
-        """Return the module's outputs (m,) for a vector (n,) or a dict of arrays; a value that is no tensor as is."""
+        """Return the module's outputs (m,) for a vector (n,) or a dict of arrays, or what it returns if no tensor."""
         import torch
 
         from handover_marl.learning.networks.weights import single_threaded_inference

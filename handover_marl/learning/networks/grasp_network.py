@@ -89,7 +89,7 @@ class GraspNetwork(SavedNetwork):
 
     @classmethod
     def from_settings(cls, settings: dict[str, Any]) -> "GraspNetwork":
-        """Create an untrained network; `settings`, the widths of layers in shipped files, are the same for all."""
+        """Create an untrained network; `settings` are ignored, because all networks have the same layer widths."""
         return cls()
 
     def forward(self, clouds: PointCloudBatch) -> GraspOutputs:

@@ -26,7 +26,7 @@ def _convolve(n_inputs: int, n_outputs: int) -> nn.Sequential:
 
 
 class SegmentationNetwork(SavedNetwork):
-    """Convolutional network with the classes of the pixels of an image as output; sides are multiples of 32 pixels."""
+    """Convolutional network that classifies the pixels of images, whose sides must be multiples of 32 pixels."""
 
     kind = "segmentation"
 

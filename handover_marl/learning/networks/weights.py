@@ -50,7 +50,7 @@ def single_threaded_inference() -> Iterator[None]:
 
 @contextlib.contextmanager
 def untrained_networks() -> Iterator[None]:
-    """Use PyTorch's initial settings in a `with` block that creates networks; restore its random generator after it."""
+    """Create networks with PyTorch's initial settings in a `with` block; then restore PyTorch's random state."""
     with use_default_torch_settings(), torch.random.fork_rng(devices=[]):
         yield
 
@@ -59,7 +59,7 @@ class SavedNetwork(nn.Module):
     """Base class of networks that can be written to a file of weights and read from it.
 
     Attributes:
-        kind: Name of the receiver that uses the network.
+        kind: Kind of the network in files; `experiments/training/train_KIND.py` trains it.
         uses_int8: Whether large arrays are stored as 8-bit integers.
     """
 

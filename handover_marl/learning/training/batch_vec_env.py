@@ -70,7 +70,7 @@ class BatchVecEnv(VecEnv):
         return observations, rewards.astype(np.float32), ended, step_infos
 
     def close(self) -> None:
-        """Stop the processes that simulate the environments."""
+        """Free the simulations of all environments."""
         self._envs.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:

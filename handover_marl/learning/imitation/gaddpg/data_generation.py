@@ -57,7 +57,8 @@ class ImitationStates(NamedTuple):
     """Arrays of S imitation states: observed point clouds, labelled with the grasps that the expert approaches.
 
     Attributes:
-        points: (S, 1024, 3) points in the hand link's frame, in the network's order; the last ones repeat others (m).
+        points: (S, 1024, 3) points of the object in the hand link's frame (m), as input of the network; the last ones
+            repeat others if the cloud has fewer points.
         goals: (S, 7) poses of the hand link at the grasp, in the present frame of the hand link, quaternions xyzw.
         remaining: (S,) numbers of decisions that remain in the approach.
     """

@@ -4,9 +4,9 @@ In a scenario, an object is at rest at a pose from a training scene (at the hand
 with a random offset. The arm is at its start pose or observes the object from a random pose. An invisible sphere in
 place of a person's hand occludes some objects partly; grasps keep clear of the sphere.
 
-The expert considers the cheapest grasps that the arm reaches both by full inverse kinematics and by the receiver's own
-stepwise control, which stalls near singular postures. The planner `omg` (Wang et al., RSS 2020) chooses among the best
-ones and plans a trajectory of waypoints 0.15 s apart.
+The expert considers the cheapest grasps that the arm reaches both by inverse kinematics with many iterations and by the
+stepwise control of the receiver `gaddpg`, which stalls near singular postures. The planner `omg` (Wang et al., RSS
+2020) chooses among the best ones and plans a trajectory of waypoints 0.15 s apart.
 """
 
 from collections.abc import Sequence
@@ -315,7 +315,7 @@ class GraspExpert:
         return world[order], costs[order] - compute_grasp_distances(hand, world[order], _ROTATION_COST, PAD_DISTANCE)
 
     def _are_reachable(self, goals: Array, joints: Array) -> npt.NDArray[np.bool_]:
-        """Return whether the arm reaches n goals and their standoffs from joints (7,) in similar postures, (n,)."""
+        """Return (n,) whether the arm, now at joints (7,), reaches goals (n, 7) and standoffs in similar postures."""
         standoffs = compose(goals, np.array([0.0, 0.0, -_STANDOFF, 0.0, 0.0, 0.0, 1.0]))
         before, standoff_found = self.arm.solve(standoffs, np.tile(joints, (len(goals), 1)), 30)
         after, goal_found = self.arm.solve(goals, before, 15)

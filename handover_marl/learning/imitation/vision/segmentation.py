@@ -1,7 +1,7 @@
 """Rendered images with segmentation labels, and the training of the segmentation network of `vision`.
 
-Frames come from recordings, and arm poses are on random ways to the object. Every image has its own errors of the
-camera, colours, light and depth noise. The module needs the extra `train`.
+Frames come from recordings, and arm poses are on random ways to the object. Camera errors, colours, light and depth
+noise are random in every image. The module needs the extra `train`.
 """
 
 from typing import Any, NamedTuple

@@ -272,7 +272,7 @@ class ViewRenderer(RecordedViewRenderer):
         return *points, grasps, quality, center, velocity, motion
 
     def _sample_joints(self, labelled: LabelledFrame, rng: Rng) -> Array:
-        """Return random arm joints (7,) in rad from which to render a frame: waiting, at a grasp or between."""
+        """Return random arm joints (7,) in rad from which to render a frame: waiting, before a grasp or between."""
         kind = rng.random()
         start = self.draw_waiting_joints(_JOINT_NOISE_STD, rng)
         good = labelled.quality > MIN_QUALITY

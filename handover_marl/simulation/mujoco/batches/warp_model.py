@@ -243,7 +243,7 @@ class WarpModel:
         self.select_released(numbers, released)
 
     def select_released(self, numbers: AnyArray, released: AnyArray) -> None:
-        """Set whether the target objects in the first m rows, whose scenes are `numbers` (m,), are released, (m,)."""
+        """Set which targets in the first m rows are released, by a mask (m,); `numbers` (m,) are the rows' scenes."""
         for name in _RELEASED_FIELDS:
             rows, own = self._rows[name], (self._scenes[key].rows[numbers] for key in (name + _RELEASED, name))
             rows[: len(numbers)] = get_namespace(rows).where(expand_mask(released, rows), *own)
