@@ -183,9 +183,7 @@ def check_metadata(metadata: ResultMetadata, path: Path) -> None:
     for key, value in asdict(metadata).items():
         # Control characters could change a terminal that prints the report.
         if not isinstance(value, str) or not value.isprintable():
-            raise ResultsError(
-                f"{path}: {key} must be text without control characters, got {shorten_text(value)!a}"
-            )
+            raise ResultsError(f"{path}: {key} must be text without control characters, got {shorten_text(value)!a}")
         parts = value.split("+") if key == "obs_mode" else [value]
         if not set(parts) <= set(_CHOICES.get(key, parts)):
             raise ResultsError(f"{path}: unknown {key} {shorten_text(value)!r}; valid: {', '.join(_CHOICES[key])}")
