@@ -162,7 +162,7 @@ def read_result_metadata(path: Path) -> ResultMetadata:
     try:
         benchmark, library = content["BENCHMARK"], content.get(_LIBRARY_SECTION)
         values = _infer_handoversim_metadata(path, content) if library is None else dict(library)
-        values.pop("shard", None)  # written by versions before 0.9
+        values.pop("shard", None)  # older files have it
         metadata = ResultMetadata(setup=benchmark["SETUP"], split=benchmark["SPLIT"], **values)
         stored = {**benchmark, **content.get("SIM", {})}
     except Exception as error:  # the file may have any content

@@ -357,7 +357,7 @@ def read_episode_file(path: Path) -> tuple[ResultMetadata, list[EpisodeResult]]:
     """Read an episode file: the identity of the evaluation, and its results ordered by index."""
     try:
         content = json.loads(read_plain_file(path, _MAX_BYTES))
-        content["metadata"].pop("shard", None)  # written by versions before 0.9
+        content["metadata"].pop("shard", None)  # older files have it
         metadata = ResultMetadata(**content["metadata"])
         rows = [dict(zip(content["columns"], row, strict=True)) | content["common"] for row in content["episodes"]]
         results = [_parse_result({**row, "status": _STATUSES[row["outcome"]]}) for row in rows]

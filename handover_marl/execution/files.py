@@ -100,17 +100,14 @@ def encode_arrays(arrays: Mapping[str, Any]) -> bytes:
     return stream.getvalue()
 
 
-def render_template(package: str, template: str, escape: bool = False, **content: Any) -> str:
-    """Render a Jinja template, a file in `templates/` of a package, with the variables `content`.
-
-    With `escape`, values are escaped for HTML.
-    """
+def render_template(package: str, template: str, **content: Any) -> str:
+    """Render a Jinja template, a file in `templates/` of a package, with variables `content`; `.html` escapes them."""
     # Imported here: simulations write no such files.
-    from jinja2 import Environment, PackageLoader, StrictUndefined
+    from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
     environment = Environment(
         loader=PackageLoader(package),
-        autoescape=escape,
+        autoescape=select_autoescape(),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,

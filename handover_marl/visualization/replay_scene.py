@@ -86,7 +86,6 @@ def build_replay_page(log: ReplayRecorder, facts: str, camera: CameraConfig | No
     return render_template(
         "handover_marl.visualization",
         "replay.html",
-        escape=True,
         version=__version__,
         title=f"Scene {info.scene_id}, {info.target_name}: {outcome}",
         mark=f"scene {info.scene_id}, {log.status.label}, {steps} steps",

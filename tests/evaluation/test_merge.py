@@ -130,6 +130,9 @@ def test_cross_play(tmp_path: Path) -> None:
     next((tmp_path / "1" / "noisy-hold").glob("*.npz")).unlink()
     with pytest.raises(ResultsError, match="has no result files"):
         handover_marl.merge([tmp_path / "1", tmp_path / "2"], tmp_path / "again")
+    shutil.copy(next((tmp_path / "2" / "noisy-hold").glob("*.npz")), tmp_path / "1" / "noisy-hold")
+    with pytest.raises(ResultsError, match="not all pairs have results of the same scenes"):
+        handover_marl.merge([tmp_path / "1"], tmp_path / "again")
     assert not (tmp_path / "again").exists()
 
 

@@ -66,6 +66,8 @@ def test_results_are_read_as_written(folder: ResultFolder) -> None:
     assert result == folder.read(0, "abc")
     assert {**vars(result), "plan_s": 0.5} == vars(RESULT)
     assert folder.read(1, "abc") is None
+    change_config(folder.path, "HANDOVER_MARL", {"shard": "1/3"})
+    assert read_result_metadata(folder.path) == SETTINGS, "older folders name their shard"
 
 
 @pytest.mark.parametrize(

@@ -332,7 +332,6 @@ def render_report_page(report: Report, replays: Mapping[int, str] | None = None)
     return render_template(
         "handover_marl.visualization",
         "report.html",
-        escape=True,
         version=__version__,
         title=f"{metadata.receiver} on {metadata.setup} {metadata.split}",
         report=report,
