@@ -15,7 +15,6 @@ from handover_marl.evaluation.reports.report import Report, load_report
 from handover_marl.evaluation.reports.tables import (
     AVERAGE_SUCCESS,
     FLUENCY,
-    N_EPISODES,
     REPORTED_STATUSES,
     ReportTable,
     TabularResult,
@@ -27,8 +26,8 @@ from handover_marl.evaluation.reports.tables import (
 )
 from handover_marl.evaluation.results import EpisodeResult
 
-# Cells of a scene that identify it, and those of its outcome.
-_SCENE, _OUTCOME = slice(0, 2), slice(4, 7)
+# Cells of a scene that identify it, and its outcome and steps.
+_SCENE, _OUTCOME = slice(0, 2), slice(4, 6)
 _NOTE = (
     "{n} scenes that both folders have, paired. 95 % intervals: Wilson; differences of rates Agresti and Min; AS and "
     "fluency metrics bootstrap."
@@ -85,7 +84,7 @@ class Comparison(TabularResult):
         for flag in REPORTED_STATUSES:
             cells = [format_percent_rate(count_status(side, flag), n, digits=2) for side in sides]
             difference = estimate_paired_difference(*([bool(each.status & flag) for each in side] for side in sides))
-            rows.append([flag.label, *cells, difference.format("+.2f"), n])
+            rows.append([flag.label, *cells, difference.format("+.2f")])
         scores = [[result.speed_score for result in side] for side in sides]
         gain = estimate_mean([one - other for one, other in zip(*scores, strict=True)])
         if scores[0] == scores[1]:
@@ -93,9 +92,9 @@ class Comparison(TabularResult):
             successes = ([result.success for result in side] for side in sides)
             gain = replace(gain, interval_95=estimate_paired_difference(*successes).interval_95)
         means = [estimate_average_success(side).format(".2f", ".1f") for side in scores]
-        rows.append([AVERAGE_SUCCESS.key, *means, gain.format("+.2f", "+.1f"), n])
+        rows.append([AVERAGE_SUCCESS.key, *means, gain.format("+.2f", "+.1f")])
         titles = [f"{first} %", f"{second} %", f"{first} minus {second}, points"]
-        return ReportTable(["metric", *titles, N_EPISODES.title], rows)
+        return ReportTable(["metric", *titles], rows)
 
     def _build_difference_table(self) -> ReportTable:
         """Build the table of scenes with different outcomes."""
@@ -106,7 +105,7 @@ class Comparison(TabularResult):
                 outcomes = zip(cells[_OUTCOME], others[_OUTCOME], strict=True)
                 rows.append([*cells[_SCENE], *(cell for pair in outcomes for cell in pair)])
         titles = [f"{name} {title}" for title in SCENE_HEADER[_OUTCOME] for name in self.names]
-        return ReportTable([*SCENE_HEADER[_SCENE], *titles], rows, split_column=6, n_keys=2)
+        return ReportTable([*SCENE_HEADER[_SCENE], *titles], rows, n_keys=2)
 
     def _build_fluency_table(self) -> ReportTable:
         """Build the table of mean differences of fluency metrics, each on the scenes where both evaluations have it."""

@@ -241,7 +241,6 @@ def list_decisions(seed: int, scene: int, steps: int) -> dict[int | None, list[i
 
 
 def test_partners_in_vector_environments_keep_their_own_periods() -> None:
-    pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
     Irregular.decisions.clear()
     options: dict[str, Any] = {"dataset": "synthetic", "split": "val", "scenes": [9], "control_period": 0.1}
     envs = handover_marl.vector_env(3, "receiver", Irregular, **options)

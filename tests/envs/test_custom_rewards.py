@@ -223,7 +223,6 @@ def test_shaped_rewards_in_a_combination_are_the_shaped_rewards(make: Make) -> N
 
 @pytest.mark.parametrize("physics", ["fast", "mujoco"])
 def test_vector_environments_have_the_rewards_of_single_ones(physics: str, make: Make) -> None:
-    pytest.importorskip("mujoco", reason="needs MuJoCo")
     options: dict[str, Any] = {"physics": physics, "dataset": "synthetic", "max_cycles": 4}
     weights = RewardWeights(dict.fromkeys(TERMS, 0.5), dict.fromkeys(TERMS, -1.0))
     options["rewards"] = combine_rewards(approach, Counter(), (0.5, weights))

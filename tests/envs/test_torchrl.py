@@ -41,7 +41,6 @@ def test_wrapped_environments(frozen: bool) -> None:
 def test_vector_environments(autoreset: str, encoded: bool) -> None:
     from torchrl.envs.utils import check_env_specs
 
-    pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
     encoding = {"features": "receiver", "action_scheme": "cartesian_delta"} if encoded else {}
     options = {**OPTIONS, **encoding, "physics": "mujoco", "max_cycles": 3, "threads": 1}
     env = torchrl_envs.GymWrapper(handover_marl.vector_env(2, "receiver", "replay", autoreset=autoreset, **options))

@@ -66,7 +66,6 @@ def test_a_wrapper_changes_what_the_learner_gets_and_not_the_partner() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("physics", "agent"), [("fast", None), ("mujoco", "receiver")])
 def test_vector_environments_are_wrapped(physics: str, agent: str | None) -> None:
-    pytest.importorskip("mujoco", reason="needs MuJoCo")
     options = {**OPTIONS, "physics": physics}
     envs = handover_marl.vector_env(2, agent, wrappers=[Cost], threads=1, **options)
     alone = Cost(handover_marl.parallel_env(**options))
@@ -100,7 +99,6 @@ def test_wrong_wrappers_are_refused(wrappers: Any, message: str) -> None:
 
 
 def test_make_vec_uses_the_vector_environment() -> None:
-    pytest.importorskip("mujoco", reason="needs MuJoCo")
     options = {**OPTIONS, "partner": "replay", "rewards": approach}
     envs = gymnasium.make_vec("HandoverMARL/Receiver-v0", 2, **options)
     assert isinstance(envs, HandoverVectorEnv)

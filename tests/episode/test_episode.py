@@ -35,7 +35,6 @@ def episode() -> Iterator[Episode]:
 @pytest.fixture
 def batch_episode() -> Iterator[Episode]:
     """Return an episode whose steps can be simulated in rollouts."""
-    pytest.importorskip("mujoco")
     episode = Episode("mujoco")
     episode.reset(SCENE)
     yield episode
@@ -123,8 +122,6 @@ def test_observation_of_a_policy_has_its_mode(episode: Episode) -> None:
 
 @pytest.mark.parametrize("physics", ["exact", "fast", "mujoco"])
 def test_the_robot_starts_at_drawn_joint_positions(physics: str) -> None:
-    if physics == "mujoco":
-        pytest.importorskip("mujoco")
     config = replace(OFFICIAL_CONFIG, initial_joint_noise=0.1)
     episode = Episode(physics, config)
     for seed in (1, 2, 1):

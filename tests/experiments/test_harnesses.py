@@ -13,7 +13,6 @@ from experiments.harnesses.lerobot_env import LeRobotEnv, make_env
 from tests.helpers.lerobot import prepare_lerobot
 from tests.learning.training.scripts import script
 
-pytest.importorskip("mujoco", reason="needs MuJoCo")
 pytest.importorskip("embreex", reason="needs the extra `vision`")
 
 

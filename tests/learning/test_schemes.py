@@ -289,7 +289,6 @@ def test_camera_data_alone_suffices_for_own_features() -> None:
 
 @pytest.mark.slow
 def test_environments_of_a_batch_do_not_share_memory() -> None:
-    pytest.importorskip("mujoco", reason="needs MuJoCo")
     options: dict[str, Any] = {"action_scheme": FirstJoint, "dataset": "synthetic", "threads": 1}
     envs = handover_marl.vector_env(2, "receiver", "replay", features=OffsetAndCount(CONTEXT), **options)
     assert envs.reset(seed=0)[0][:, 3].tolist() == [1.0, 1.0]

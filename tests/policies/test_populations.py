@@ -121,7 +121,6 @@ def test_receivers_with_a_camera_are_left_out(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_vector_environment_equals_single_environments(tmp_path: Path) -> None:
-    pytest.importorskip("mujoco")
     interrupting = {**GIVERS[0], "name": "interrupting", "policy": "interrupting"}
     path = write_population(tmp_path, givers=[*GIVERS, interrupting])
     partner = ("population", {"population": os.fspath(path), "partners": "all"})

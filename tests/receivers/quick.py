@@ -8,8 +8,6 @@ from handover_marl.planning import goal_set, planner
 from handover_marl.receivers.reactive.grasps import GraspPreparationConfig
 from handover_marl.simulation.grasp_validation import GraspValidationConfig
 
-pytest.importorskip("mujoco", reason="MuJoCo validates grasps")
-
 # The simulated validations are so short that all grasps pass them.
 QUICK_PREPARATION = GraspPreparationConfig(
     tilts=(),

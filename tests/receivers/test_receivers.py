@@ -54,7 +54,6 @@ def test_time_between_decisions_while_the_fingers_close(options: str, period: fl
 
 def test_a_batch_with_an_object_without_grasps() -> None:
     """The robot of a row whose object has no grasps stays where it is, and those of the other rows move."""
-    pytest.importorskip("mujoco", reason="needs MuJoCo")
     data, episode = SyntheticDataset(), Episode("mujoco")
     scene = data.load_scene(14)
     episode.reset(scene)

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytest.importorskip("mujoco", reason="needs MuJoCo")
 pytest.importorskip("torch", reason="needs the extra `train`")
 
 import torch

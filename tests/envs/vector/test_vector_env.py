@@ -11,8 +11,6 @@ import gymnasium
 import numpy as np
 import pytest
 
-pytest.importorskip("mujoco", reason="needs MuJoCo")
-
 import handover_marl
 from handover_marl.config import WorldConfig
 from handover_marl.envs.vector.array_envs import ArrayEpisodes

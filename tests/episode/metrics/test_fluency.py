@@ -305,7 +305,6 @@ def test_no_time_is_missed_by_the_bounds(engine: str) -> None:
 
 
 def make_distance_queries(panda: Path) -> dict[str, DistanceQuery]:
-    pytest.importorskip("mujoco")
     from handover_marl.simulation.mujoco.distance_query import MujocoDistanceQuery
 
     config = OFFICIAL_CONFIG.physics.panda
@@ -339,8 +338,6 @@ def test_engines_measure_alike(robot: str) -> None:
 @pytest.mark.parametrize("physics", ["fast", "mujoco", "exact"])
 def test_every_engine_measures_the_force_on_the_person(physics: str) -> None:
     """A contact ends the episode, so that the impulse is that of one step of 1 ms."""
-    if physics == "mujoco":
-        pytest.importorskip("mujoco")
     dataset, recorder, episode = SyntheticDataset(), TraceRecorder(), Episode(physics)
     play(episode, dataset.load_scene(19), make("yang2021:wait=0", dataset), None, recorder)
     assert episode.status is EpisodeStatus.HUMAN_CONTACT

@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytest.importorskip("mujoco", reason="needs MuJoCo")
 pytest.importorskip("stable_baselines3.common.vec_env", reason="needs the extra `train`")
 
 from stable_baselines3.common.vec_env import DummyVecEnv

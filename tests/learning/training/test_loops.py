@@ -12,7 +12,6 @@ from tests.helpers.short_episodes import shorten_episodes
 from tests.learning.training.scripts import script
 
 pytest.importorskip("torch", reason="needs an extra with PyTorch")
-pytest.importorskip("mujoco", reason="needs MuJoCo")
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]
 SCRIPTS = {"train_both_torchrl": "torchrl", "train_both_rllib": "ray.rllib", "train_both_benchmarl": "benchmarl"}
 SMALL: dict[str, Any] = {

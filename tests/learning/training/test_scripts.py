@@ -61,7 +61,6 @@ def test_train_giver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 def test_train_receiver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("mujoco", reason="needs MuJoCo")
     train = script("train_sb3", monkeypatch)
     own = "tests.learning.custom"
     args = {**RECEIVER, "out": str(tmp_path / "run"), "action_scheme": f"{own}:FirstJoint"}
@@ -98,7 +97,6 @@ def test_runs_are_not_resumed_on_another_dataset(
 
 @pytest.mark.slow
 def test_a_wrong_name_leaves_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("mujoco", reason="needs MuJoCo")
     train = script("train_sb3", monkeypatch)
     with pytest.raises(UnknownNameError, match="did you mean"):
         train.main(train.Args(**RECEIVER, features="clos", out=str(tmp_path / "run")))

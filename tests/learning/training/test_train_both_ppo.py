@@ -10,7 +10,6 @@ from tests.helpers.short_episodes import shorten_episodes
 from tests.learning.training.scripts import script
 
 pytest.importorskip("torch", reason="needs the extra `train`")
-pytest.importorskip("mujoco", reason="needs MuJoCo")
 
 
 @pytest.fixture(name="train")

@@ -16,7 +16,6 @@ from tests.helpers.short_episodes import shorten_episodes
 from tests.learning.training.scripts import script
 
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
-pytest.importorskip("mujoco", reason="needs MuJoCo")
 SCENES = SyntheticDataset().list_scenes("s0", "val")[:1]
 
 

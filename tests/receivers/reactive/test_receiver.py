@@ -18,7 +18,6 @@ from handover_marl.receivers.reactive.receiver import ReactiveReceiver
 from handover_marl.receivers.reactive.scene_estimate import PoseSceneEstimate
 from tests.helpers.playing import observe_handover
 
-pytest.importorskip("mujoco", reason="MuJoCo validates grasps")
 DATA = SyntheticDataset()
 CONTEXT = make_policy_context(DATA)
 #: Scene of the observations, and scene of a whole episode: if the robot ignored the wood block there, its wrist would
