@@ -38,13 +38,24 @@ from handover_marl.policies.policy import PolicyContext
 from handover_marl.policies.registry import import_reference
 
 _ALL_FEATURES: tuple[type[ArrayFeatures], ...] = (
-    *(GiverFeatures, FlatGiverFeatures),
-    *(ReceiverFeatures, FlatReceiverFeatures, GraspFeatures, GraspVelocityFeatures),
-    *(GraspProximityFeatures, StackedFeatures),
+    GiverFeatures,
+    FlatGiverFeatures,
+    ReceiverFeatures,
+    FlatReceiverFeatures,
+    GraspFeatures,
+    GraspVelocityFeatures,
+    GraspProximityFeatures,
+    StackedFeatures,
 )
 _ALL_SCHEMES: tuple[type[ArrayScheme], ...] = (
-    *(RawGiverScheme, DeviationScheme, HandoverPoseScheme),
-    *(RawReceiverScheme, JointPositionScheme, JointDeltaScheme, CartesianDeltaScheme, GraspServoScheme),
+    RawGiverScheme,
+    DeviationScheme,
+    HandoverPoseScheme,
+    RawReceiverScheme,
+    JointPositionScheme,
+    JointDeltaScheme,
+    CartesianDeltaScheme,
+    GraspServoScheme,
 )
 _FEATURES = {features.name: features for features in _ALL_FEATURES}
 _SCHEMES = {scheme.name: scheme for scheme in _ALL_SCHEMES}
