@@ -77,6 +77,9 @@ class EncodedEnv(ParallelWrapper):
             if chosen_features[agent] != OBSERVATION:
                 self._features[agent] = make_array_features(agent, chosen_features[agent], context, selector, 1)
             self._schemes[agent] = make_array_scheme(agent, chosen_schemes[agent], context, selector, 1)
+        self._feature_spaces = {
+            agent: spaces.Box(-np.inf, np.inf, (made.size,), np.float32) for agent, made in self._features.items()
+        }
         self._output_spaces: dict[str, Any] = {
             agent: copy.deepcopy(env.action_space(agent))
             if isinstance(made, RawScheme)
@@ -92,9 +95,7 @@ class EncodedEnv(ParallelWrapper):
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
         """Return the space of the agent's feature vector, or of its observation with the features `observation`."""
-        if agent in self._features:
-            return spaces.Box(-np.inf, np.inf, (self._features[agent].size,), np.float32)
-        space: spaces.Space[Any] = self.env.observation_space(agent)
+        space: spaces.Space[Any] = self._feature_spaces.get(agent) or self.env.observation_space(agent)
         return space
 
     def action_space(self, agent: str) -> spaces.Box:
