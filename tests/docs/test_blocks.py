@@ -65,6 +65,7 @@ SMALLER = {
     "    8, ": "    3, ",
     "vector_env(4, ": "vector_env(3, ",
     "512": "32",
+    "n_steps=64": "n_steps=8",
     '"async"': '"sync"',
 }
 
