@@ -232,7 +232,8 @@ class ReportTable:
                 f" {' & '.join(str(cell).translate(_LATEX_ESCAPES) for cell in row)} \\\\"
                 for row in (self.header, *self.rows)
             )
-            lines = [f"\\begin{{tabular}}{{{'l' * len(self.header)}}}", r"\toprule", head, r"\midrule", *body]
+            alignment = "l" * self.n_keys + "r" * (len(self.header) - self.n_keys)
+            lines = [f"\\begin{{tabular}}{{{alignment}}}", r"\toprule", head, r"\midrule", *body]
             return "\n".join([*lines, r"\bottomrule", r"\end{tabular}"])
         return self._format_markdown()
 
