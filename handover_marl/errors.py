@@ -45,13 +45,14 @@ class UnknownArgumentError(HandoverError, TypeError):
     """Error for a keyword argument that a function does not have.
 
     Args:
-        function: Name of the function.
+        function: Name of the function; or the whole message, without the other arguments.
         name: Name of the unknown argument.
         valid: Names of the function's arguments.
     """
 
-    def __init__(self, function: str, name: str, valid: Iterable[str]) -> None:
-        names, message = tuple(valid), f"{function}() got an unexpected keyword argument {name!r}"
+    def __init__(self, function: str, name: str = "", valid: Iterable[str] = ()) -> None:
+        # Gymnasium's `make` creates the error anew from its message.
+        names, message = tuple(valid), f"{function}() got an unexpected keyword argument {name!r}" if name else function
         super().__init__("; ".join(filter(None, [message, suggest_name(name, names)])))
         self._arguments = (function, name, names)
 

@@ -6,11 +6,13 @@ from operator import itemgetter
 from types import SimpleNamespace
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 
 import handover_marl
 from handover_marl import givers, receivers
+from handover_marl.datasets.custom.scene_file import CustomObject
 from handover_marl.episode.loop import call_policy
 from handover_marl.episode.spaces import check_receiver_action
 from handover_marl.errors import (
@@ -19,6 +21,7 @@ from handover_marl.errors import (
     HandoverError,
     OptionError,
     PolicyError,
+    ResetNeededError,
     SceneError,
     UnknownArgumentError,
     UnknownNameError,
@@ -39,6 +42,9 @@ def test_errors_keep_their_message_in_other_processes() -> None:
     ):
         assert str(pickle.loads(pickle.dumps(error))) == str(error)
         assert "; did you mean " in str(error)
+
+
+GYM_ID = "HandoverMARL/Receiver-v0"
 
 
 def open_dataset(name: str) -> None:
@@ -67,6 +73,27 @@ def look_up(key: str) -> None:
         (open_dataset, f"generated:n={10**400}", OptionError, "n must be from 1 to"),
         (open_dataset, f"own:{'a' * 5000}", OptionError, "more than 255 bytes"),
         (lambda period: handover_marl.parallel_env(control_period=period), 1 / 30, OptionError, "take 0.033"),
+        (lambda period: handover_marl.parallel_env(control_period=period), 100, OptionError, "for 100 ms pass 0.1"),
+        (
+            lambda physics: gymnasium.make(GYM_ID, physic=physics),
+            "fast",
+            UnknownArgumentError,
+            "did you mean 'physics'",
+        ),
+        (lambda actions: handover_marl.encode(make_env()).step(actions), {}, ResetNeededError, r"call reset\(\)"),
+        (
+            lambda policy: handover_marl.evaluate_pair(policy, "hold"),
+            receivers.Receiver,
+            OptionError,
+            "got a receiver; ",
+        ),
+        (
+            lambda policy: handover_marl.evaluate_pair("replay", policy),
+            len,
+            OptionError,
+            "or wrap a function or module by as_receiver",
+        ),
+        (lambda mass: CustomObject("box", 22, mass, 0.5), "heavy", OptionError, "mass of object box must be a number"),
         (lambda name: handover_marl.benchmark(receiver=name), "cooperative", UnknownNameError, "is a giver"),
         (lambda name: handover_marl.evaluate_pair(name, "hold"), "reactive", UnknownNameError, "is a receiver"),
         (givers.make, "wary.py", UnknownNameError, "a class in this file is wary:CLASS"),

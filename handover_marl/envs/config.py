@@ -17,6 +17,8 @@ from handover_marl.simulation.camera.renderers import check_rendering, resolve_r
 from handover_marl.simulation.engines import check_physics
 
 RENDER_MODES = ("human", "rgb_array")
+# Longest control period of an environment (ms); longer ones are times in ms in place of s.
+_MAX_PERIOD_MS = 5000
 
 
 @dataclass(frozen=True)
@@ -87,6 +89,10 @@ def make_env_config(config: EnvConfig | None, fields: Mapping[str, Any]) -> EnvC
 def _count_physics_steps(control_period: float) -> int:
     is_number = isinstance(control_period, (int, float, np.floating)) and not isinstance(control_period, bool)
     steps = round(control_period / TIME_STEP) if is_number and math.isfinite(control_period) else 0
+    if steps > _MAX_PERIOD_MS:
+        raise OptionError(
+            f"control_period must be at most {_MAX_PERIOD_MS / 1000:g} s, got {control_period!r}; for 100 ms pass 0.1"
+        )
     if steps < 1 or abs(steps * TIME_STEP - control_period) > 1e-9:
         raise OptionError(
             f"control_period must be a whole number of milliseconds, in seconds, got {control_period!r}; "

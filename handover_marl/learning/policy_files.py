@@ -74,7 +74,10 @@ def read_policy(path: Path, agent: str, trust: bool = False, **given: Any) -> tu
     elif path.suffix == ".zip":
         recorded, network = _read_zip(path, content, trust)
     else:
-        raise OptionError(f"{path}: policy files are .npz or .zip (Stable-Baselines3); run others with as_{agent}")
+        raise OptionError(
+            f"{path}: policy files are .npz or .zip (Stable-Baselines3); pass as_{agent} a function that calls other "
+            "networks"
+        )
     for key, kind in (("features", "features"), ("actions", "action scheme")):
         if key in recorded and given.get(key) is None:
             check_stored_reference(path, kind, recorded[key], trust)

@@ -269,7 +269,10 @@ def check_policy_class(agent: str, policy_class: Any, name: str) -> None:
     is_policy = isinstance(policy_class, type) and issubclass(policy_class, Policy)
     if not is_policy or policy_class.agent not in (agent, None):
         base = f"handover_marl.{agent}s.{agent.capitalize()}"
-        raise OptionError(f"{agent} {name!r} ({policy_class!r}) must be a subclass of {base}")
+        given = shorten_text(repr(policy_class)) + f"; in Python, handover_marl.as_{agent} makes one of a function"
+        if is_policy:
+            given = f"a {policy_class.agent}; pass it as the {policy_class.agent}"
+        raise OptionError(f"{agent} {name!r} must be a subclass of {base}, got {given}")
     if inspect.isabstract(policy_class):
         missing = ", ".join(sorted(policy_class.__abstractmethods__))
         raise OptionError(f"{agent} {name!r} must define {missing}; add the missing methods")

@@ -32,6 +32,7 @@ from handover_marl.errors import (
     PolicyError,
     UnknownNameError,
 )
+from handover_marl.execution.files import shorten_text
 from handover_marl.execution.options import check_boolean
 from handover_marl.execution.reading import read_plain_file
 from handover_marl.execution.tasks import pickle_by_value, unpickle
@@ -285,8 +286,8 @@ def parse_policy(agent: str, policy: PolicyLike, trust: bool = False) -> PolicyR
     if isinstance(policy, (type, Policy)):
         return _parse_object(agent, policy, extra, trust)
     raise OptionError(
-        f"{agent} must be a name, a class or an instance of a policy, got {policy!r}; derive the "
-        f"class from handover_marl.{agent}s.{agent.capitalize()}"
+        f"{agent} must be a name, a class or an instance of a policy, got {shorten_text(repr(policy))}; derive the "
+        f"class from handover_marl.{agent}s.{agent.capitalize()}, or wrap a function or module by as_{agent}"
     )
 
 

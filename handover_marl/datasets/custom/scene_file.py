@@ -59,6 +59,10 @@ class CustomObject:
 
     def __post_init__(self) -> None:
         check_file_name("name of an object", self.name, CLASS_NAMES.values())
+        for name in ("number", "n_grasps", "n_candidates", "mass", "friction"):
+            value, kinds = getattr(self, name), (int, float) if name in ("mass", "friction") else (int,)
+            if isinstance(value, bool) or not isinstance(value, kinds):
+                raise OptionError(f"{name} of object {self.name} must be a number, got {shorten_text(value)}")
 
     def __str__(self) -> str:
         grasps = f"{self.n_grasps} grasps held in simulation, of {self.n_candidates} that were tried"

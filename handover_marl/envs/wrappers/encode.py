@@ -139,7 +139,7 @@ class EncodedEnv(ParallelWrapper):
         Returns:
             Feature vectors, rewards, terminations, truncations and infos by agent.
         """
-        if not self.agents:
+        if not (self.agents and self._observations):
             raise ResetNeededError("no episode is running; call reset() before step()")
         given = actions if isinstance(actions, Mapping) else {}
         outputs = {
