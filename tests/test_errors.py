@@ -94,6 +94,7 @@ def look_up(key: str) -> None:
             "or wrap a function or module by as_receiver",
         ),
         (lambda mass: CustomObject("box", 22, mass, 0.5), "heavy", OptionError, "mass of object box must be a number"),
+        (lambda number: CustomObject("box", number, 0.1, 0.5), "22", OptionError, "must be an integer, got .22"),
         (lambda name: handover_marl.benchmark(receiver=name), "cooperative", UnknownNameError, "is a giver"),
         (lambda name: handover_marl.evaluate_pair(name, "hold"), "reactive", UnknownNameError, "is a receiver"),
         (givers.make, "wary.py", UnknownNameError, "a class in this file is wary:CLASS"),

@@ -17,7 +17,7 @@ from handover_marl.simulation.camera.renderers import check_rendering, resolve_r
 from handover_marl.simulation.engines import check_physics
 
 RENDER_MODES = ("human", "rgb_array")
-# Longest control period of an environment (ms); longer ones are times in ms in place of s.
+# Longest control period of an environment (ms); a larger value was probably meant in ms and not in s.
 _MAX_PERIOD_MS = 5000
 
 
@@ -27,7 +27,7 @@ class EnvConfig(SceneConfig):
 
     Attributes:
         split: Split of the setup: train, val or test.
-        control_period: Time for which an action holds (s); a whole number of milliseconds.
+        control_period: Time for which an action holds (s); a whole number of milliseconds, at most 5 s.
         render_mode: None, "rgb_array" (needs no screen) or "human" (PyBullet's window).
         camera: Camera of the "rgb_array" images; default: `CameraConfig()`, which shows the scene from the side.
         rewards: Preset rewards "sparse", 1 for a completed handover, or "shaped", with potential-based

@@ -125,7 +125,7 @@ def is_pybullet_installed() -> bool:
 
 
 def require_modules(feature: str, extra: str, *modules: str, advice: str = "") -> None:
-    """Check that optional modules are installed; the error names the feature, their extra and an advice."""
+    """Check that optional modules are installed; the error names the feature and the extra, and gives advice."""
     missing = [module for module in modules if not is_installed(module)]
     if missing:
         raise OptionError(f"{feature} needs {' and '.join(missing)}: pip install 'handover-marl[{extra}]'{advice}")

@@ -73,7 +73,7 @@ def list_schemes(agent: str) -> tuple[str, ...]:
 
 
 def count_features(agent: str, name: str) -> int:
-    """Return how many numbers an agent's built-in features `name`, one of `list_features(agent)`, have."""
+    """Return the size of an agent's built-in feature vector `name`, one of `list_features(agent)`."""
     check_name(f"{FEATURES} of the {agent}", name, list_features(agent))
     return _FEATURES[name].size
 

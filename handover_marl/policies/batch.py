@@ -118,7 +118,7 @@ class ArrayPolicy(Policy):
 
     @property
     def is_batchable(self) -> bool:
-        """Whether `copy_for` works; a subclass may act in another way than by `start` and `decide`."""
+        """Whether `copy_for` may be used: not if a subclass overrides `act` or `reset`."""
         return (type(self).act, type(self).reset) == (ArrayPolicy.act, ArrayPolicy.reset)
 
     def copy_for(self, count: int, arrays: ArrayFactory) -> "ArrayPolicy":

@@ -254,8 +254,8 @@ def _cache_scenes(template: WrappableEnv) -> Callable[[int], Scene]:
 def _can_use_arrays(template: WrappableEnv, backend: str) -> bool:
     """Return whether `ArrayEnvs` can simulate the environments together.
 
-    Arrays need MuJoCo's physics, no wrappers but `control_agent` and `encode` in this order, and either no camera,
-    or "warp" with a camera that passes `_check_device`.
+    Arrays need MuJoCo's physics, no `render_mode`, no wrappers but `control_agent` and `encode` in this order, a
+    partner without a camera, and either no camera of the environment, or the backend "warp".
     """
     config = template.unwrapped.config
     if config.physics != MUJOCO or config.render_mode is not None:
