@@ -27,6 +27,7 @@ from handover_marl.errors import (
     UnknownNameError,
     check_name,
 )
+from tests.docs.pages import REPOSITORY
 
 
 @pytest.mark.parametrize("name", [None, 5, ["s0"], {"s0"}, b"s0", np.array(["s0"]), np.zeros(2), "", "s", object()])
@@ -61,6 +62,10 @@ def step(actions: dict[str, Any]) -> None:
     env.step(actions)
 
 
+def load_stored_report() -> handover_marl.Report:
+    return handover_marl.load_report(REPOSITORY / "docs/results/data/episodes/omg-dexycb-s3-3.0.json")
+
+
 def look_up(key: str) -> None:
     policy: Any = SimpleNamespace(name="mine", act=itemgetter(key), hold_time=0.1)
     call_policy(policy, {"time": np.zeros(1)}, 5)
@@ -93,6 +98,9 @@ def look_up(key: str) -> None:
             OptionError,
             "or wrap a function or module by as_receiver",
         ),
+        (lambda columns: load_stored_report().format(columns=columns), "success", OptionError, r"pass \['success'\]"),
+        (lambda time: handover_marl.EvaluationConfig(inference_time=time), 100, OptionError, "for 100 ms pass 0.1"),
+        (lambda scene: make_env().dataset.load_scene(scene), "14", SceneError, "by its number, got '14'"),
         (lambda mass: CustomObject("box", 22, mass, 0.5), "heavy", OptionError, "mass of object box must be a number"),
         (lambda number: CustomObject("box", number, 0.1, 0.5), "22", OptionError, "must be an integer, got .22"),
         (lambda name: handover_marl.benchmark(receiver=name), "cooperative", UnknownNameError, "is a giver"),

@@ -2,10 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Annotated, Any, Literal, TypeAlias, TypeVar
+from types import NoneType
+from typing import Annotated, Any, Literal, TypeAlias, TypeVar, get_args, get_origin
 
 import tyro
-from tyro.constructors import PrimitiveConstructorSpec
+from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from handover_marl.config import OFFICIAL_CONFIG, WorldConfig
 from handover_marl.episode.camera_observations import WRIST_ONLY
@@ -33,6 +34,40 @@ PopulationName = Annotated[
 Workers = Annotated[int | None, tyro.conf.arg(metavar="N", help="Number of worker processes; default: one per core.")]
 Progress = Annotated[bool, tyro.conf.arg(help="Show a progress bar on stderr.")]
 Trust = Annotated[bool, tyro.conf.arg(help="Import modules that files name, and run code in policy files.")]
+
+
+#: Rules that read options.
+OPTION_RULES = ConstructorRegistry()
+
+
+@OPTION_RULES.primitive_rule
+def make_number_option(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
+    """Return how to read a number, or one of some words; None if the option is something else."""
+    types = get_args(info.type) or (info.type,)
+    words = [word for part in types if get_origin(part) is Literal for word in get_args(part)]
+    kinds = [part for part in types if part in (int, float)]
+    if len(kinds) != 1 or any(get_origin(part) is not Literal and part not in (*kinds, NoneType) for part in types):
+        return None
+    (kind,) = kinds
+
+    def parse(texts: list[str]) -> int | float | str | None:
+        if texts[0] in words:
+            return texts[0]
+        if texts[0] == "None" and NoneType in types:
+            return None
+        try:
+            return kind(texts[0])
+        except ValueError as error:
+            valid = " or ".join(["a whole number" if kind is int else "a number", *words])
+            raise OptionError(f"must be {valid}, got {texts[0]!r}") from error
+
+    return PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="|".join([kind.__name__.upper(), *words]),
+        instance_from_str=parse,
+        is_instance=lambda value: isinstance(value, (int, kind)) or value is None or value in words,
+        str_from_instance=lambda value: [str(value)],
+    )
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import tyro
 
 from handover_marl.cli import folders, runs, scenes
+from handover_marl.cli.options import OPTION_RULES
 from handover_marl.policies.registry import list_available
 
 _DESCRIPTION = """Simulate and evaluate human-to-robot handovers.
@@ -46,5 +47,6 @@ def run_program(arguments: Sequence[str]) -> int:
         description=_DESCRIPTION.format(**names),
         args=arguments,
         config=(tyro.conf.OmitArgPrefixes,),
+        registry=OPTION_RULES,
     )
     return status if isinstance(status, int) else 0

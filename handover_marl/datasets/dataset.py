@@ -219,6 +219,8 @@ class Dataset(ABC):
 
     def check_scene_id(self, scene_id: int) -> None:
         """Raise `SceneError` unless the scene exists."""
+        if not isinstance(scene_id, (int, np.integer)):
+            raise SceneError(f"a scene must be given by its number, got {scene_id!r}; pass an integer")
         if not 0 <= scene_id < self.n_scenes:
             raise SceneError(f"scene {scene_id} does not exist; scenes are numbered 0 to {self.n_scenes - 1}")
 

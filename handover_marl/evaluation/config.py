@@ -4,7 +4,6 @@ Public functions and the command line take `EvaluationConfig` and `ExecutionConf
 objects or as keyword arguments.
 """
 
-import math
 from dataclasses import dataclass, fields, replace
 from numbers import Integral
 from pathlib import Path
@@ -29,6 +28,7 @@ REPLAY = "replay"
 REPLAYS_NONE: Final = "none"
 REPLAYS_ALL: Final = "all"
 
+_MAX_INFERENCE_TIME = 10.0  # s
 _SEED_LIMIT = 2**63  # Data sets store seeds with 64 bits.
 
 
@@ -62,11 +62,12 @@ class EvaluationConfig(SceneConfig):
         if self.data_dir is not None:
             object.__setattr__(self, "data_dir", str(check_path("data_dir", self.data_dir)))
         passed: object = self.inference_time
-        if isinstance(passed, (int, float)) and not isinstance(passed, bool) and 0.0 <= passed < math.inf:
+        if isinstance(passed, (int, float)) and not isinstance(passed, bool) and 0.0 <= passed <= _MAX_INFERENCE_TIME:
             passed = float(passed)
         elif passed not in (None, MEASURED):
             raise OptionError(
-                f"inference_time must be a time of at least 0 (s), {MEASURED!r} or None, got {shorten_text(passed)}"
+                f"inference_time must be a time from 0 to {_MAX_INFERENCE_TIME:g} s, {MEASURED!r} or None, "
+                f"got {shorten_text(passed)}; for 100 ms pass 0.1"
             )
         object.__setattr__(self, "inference_time", passed)
 

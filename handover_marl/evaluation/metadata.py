@@ -28,6 +28,7 @@ _NOISE_PREFIX = "initial_joint_noise="
 _LIBRARY_SECTION = "HANDOVER_MARL"
 _SPLIT_SIZE = re.compile(r"[1-9][0-9]{0,6}")
 _CHOICES = {"split": SPLITS, "physics": PHYSICS, "robot": ROBOTS, "obs_mode": OBS_PARTS}
+_ADVICE = "evaluate again into another folder"
 _MAX_BYTES = 64_000  # HandoverSim's own configuration files have a few thousand bytes.
 
 
@@ -166,7 +167,8 @@ def read_result_metadata(path: Path) -> ResultMetadata:
         metadata = ResultMetadata(setup=benchmark["SETUP"], split=benchmark["SPLIT"], **values)
         stored = {**benchmark, **content.get("SIM", {})}
     except Exception as error:  # the file may have any content
-        raise ResultsError(f"{config_path}: not a readable configuration ({shorten_text(error)})") from error
+        reason = f"it has no {error}" if isinstance(error, KeyError) else shorten_text(error)
+        raise ResultsError(f"{config_path}: not a configuration of results ({reason}); {_ADVICE}") from error
     check_metadata(metadata, config_path)
     if metadata.world == OFFICIAL_WORLD:
         for key, value in (_describe_rules(OFFICIAL_CONFIG) | {"TIME_STEP": TIME_STEP}).items():
@@ -219,7 +221,7 @@ def _read_yaml(folder: Path) -> dict[str, Any]:
         advice = f"; pass one of its folders {shorten_text(', '.join(parts))}" if parts else ""
         raise ResultsError(f"{folder} is no result folder: it has no {CONFIG_FILE}{advice}") from error
     except (OSError, ValueError, TypeError) as error:
-        raise ResultsError(f"{path}: not a readable configuration ({shorten_text(error)})") from error
+        raise ResultsError(f"{path}: not a configuration of results ({shorten_text(error)}); {_ADVICE}") from error
     return content
 
 

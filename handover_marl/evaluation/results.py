@@ -364,6 +364,8 @@ def read_episode_file(path: Path) -> tuple[ResultMetadata, list[EpisodeResult]]:
         if not rows or len({result.index for result in results}) < len(rows):
             raise ValueError("episodes must have at least one row, and each index once")
     except Exception as error:  # the file may have any content
+        if (path.parent / CONFIG_FILE).exists():
+            raise ResultsError(f"{path} is a file in a result folder; pass the folder {path.parent}") from error
         raise ResultsError(
             f"{path}: not a readable episode file ({type(error).__name__}: {shorten_text(error)}); pass a result "
             "folder, or a file of docs/results/data/episodes"

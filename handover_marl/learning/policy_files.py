@@ -103,9 +103,11 @@ def complete_spec(
     period = fields["control_period"]
     before = recorded.get("control_period", period)
     for value in (before, period):
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.001 <= value <= 60.0:
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.001 <= value <= 5.0:
             got = shorten_text(repr(value))
-            raise OptionError(f"{where}: control_period must be a time from 0.001 to 60 s, got {got}")
+            raise OptionError(
+                f"{where}: control_period must be a time from 0.001 to 5 s, got {got}; for 100 ms pass 0.1"
+            )
     if abs(before - period) > 1e-9:
         raise OptionError(f"{where}: control_period must be {before} as in training, got {period}")
     for key, name in (("agent", "agent"), ("features", "features"), ("actions", "action_scheme")):

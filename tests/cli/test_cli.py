@@ -66,6 +66,21 @@ def test_error_messages(arguments: list[str], message: str, capsys: pytest.Captu
     assert not printed.out
 
 
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--workers", "two"], "--workers: must be a whole number, got 'two'"),
+        (["--initial-joint-noise", "5deg"], "must be a number, got '5deg'"),
+        (["--inference-time", "fast"], "must be a number or measured, got 'fast'"),
+        (["--scenes", "first"], "such as 209,214, got 'first'"),
+    ],
+)
+def test_messages_for_numbers(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["evaluate-pair", *arguments])
+    assert message in " ".join(capsys.readouterr().err.replace("│", " ").split())
+
+
 def test_ctrl_c(fake_data: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt

@@ -77,7 +77,7 @@ def test_written_policy_is_read_back(tmp_path: Path) -> None:
         ({"actions": "cartesian_delta"}, "action scheme of the giver"),
         ({"actions": "deviation"}, "must have 39 inputs and 8 outputs, got 39 and 7"),
         ({"agent": "receiver"}, "policy must be for the giver, got one for the receiver"),
-        ({"control_period": -1.0}, "control_period must be a time from 0.001 to 60 s, got -1.0"),
+        ({"control_period": -1.0}, "control_period must be a time from 0.001 to 5 s, got -1.0"),
     ],
 )
 def test_policies_that_do_not_fit_are_refused(tmp_path: Path, change: dict[str, Any], message: str) -> None:

@@ -304,9 +304,13 @@ def _split_scenes(
     drawn = [groups[index] for index in np.random.default_rng(seed).permutation(len(groups))]
     home: dict[str, str] = {}
     for split, chosen in shares.items():
+        if isinstance(chosen, str):
+            raise OptionError(
+                f"{split} must be a share from 0 to 1 or a list of names, got {chosen!r}; pass [{chosen!r}]"
+            )
         if isinstance(chosen, (int, float)):
             if not 0.0 <= chosen < 1.0:
-                raise OptionError(f"{split} must be a share from 0 to 1 or names, got {chosen!r}")
+                raise OptionError(f"{split} must be a share from 0 to 1 or a list of names, got {chosen!r}")
             count = round(chosen * len(groups)) or int(chosen > 0.0)
             members = [key for key in drawn if key not in home][:count]
         else:

@@ -10,6 +10,7 @@ names `object`, `wrist` and those of the other objects' classes.
 """
 
 import csv
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -189,6 +190,11 @@ def _parse_csv(path: Path, text: str) -> dict[str, Any]:
         raise DataFormatError(f"{path}: the file {'has no rows' if lines else 'is empty'}; export it again")
     separator = max(",", ";", "\t", key=lines[0][1].count)
     header = [cell.strip() for cell in lines[0][1].split(separator)]
+    if re.fullmatch(r"[-+.,;\s\deE]*", lines[0][1]):
+        raise DataFormatError(
+            f"{path}: the first line must have the names of the columns, such as {TIME},{OBJECT}_x, got "
+            f"{shorten_text(lines[0][1])!r}; add it"
+        )
     columns = dict(zip(header, _parse_rows(path, lines[1:], separator, header).T, strict=True))
     if len(columns) < len(header):
         twice = next(name for name in header if header.count(name) > 1)

@@ -282,6 +282,8 @@ class TabularResult(ABC):
             OptionError: No table has all columns.
         """
         check_name("table format", style, TABLE_FORMATS)
+        if isinstance(columns, str):
+            raise OptionError(f"columns must be a list of titles, got {columns!r}; pass [{columns!r}]")
         sections = self.build_sections()
         headers = [section.header for section in sections if isinstance(section, ReportTable)]
         for column in columns:

@@ -95,7 +95,7 @@ def test_random_numbers_of_modules_come_from_the_seed() -> None:
     ("policy", "options", "fault"),
     [
         (lambda _: np.full(9, np.nan), {"name": "mine"}, "outputs of the receiver 'mine' must be .*component 0 is nan"),
-        (stay, {"control_period": 0.0}, "control_period must be a time from 0.001 to 60 s"),
+        (stay, {"control_period": 0.0}, "control_period must be a time from 0.001 to 5 s"),
         (stay, {"features": "grasp", "obs_mode": "pointcloud"}, r"take 'state\+pointcloud'"),
         (3, {}, "policy must be a function, a PyTorch module, .*, got 3"),
         (receivers.Receiver, {}, "got the policy .*; pass it directly"),

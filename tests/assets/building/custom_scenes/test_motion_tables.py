@@ -64,6 +64,7 @@ def test_damaged_recordings_are_refused(kind: str) -> None:
         ("\n0,", "\n0,0,", "line 2 must have 15 cells, got 16"),
         ("time,", ",", "column '' is unknown; columns are time, "),
         ("time,", "Time,", "column 'Time' is unknown"),
+        ("time,object_x", "\n0,0.1\n#", "the first line must have the names of the columns, such as time,object_x"),
         ("time,", "timestamp_ns,", "column 'timestamp_ns' is unknown"),
     ],
 )
