@@ -63,7 +63,7 @@ check: lint types
 
 # These libraries have their own pins, see constraints-loops.txt. Learning uses one thread.
 loops: $(LOOPS)/.installed
-	OMP_NUM_THREADS=1 $(LOOPS)/bin/python -m pytest -p no:xdist -k "(loops or supersuit or rl_libraries) and not train_both_torchrl" \
+	OMP_NUM_THREADS=1 $(LOOPS)/bin/python -m pytest -p no:xdist -k "loops or supersuit or rl_libraries" \
 		tests/learning/training/test_loops.py tests/envs/test_wrappers.py tests/docs/test_blocks.py
 
 # Packages of which both environments have the same version are not installed twice: the path of the second one ends with

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from pair import FEATURES, SCHEMES, PairArgs, write_pair
-from train_receiver_ppo import train
+from train_ppo import train
 
 from handover_marl.envs.agents import AGENTS
 from handover_marl.learning.adapters.modules import dense_network_from_layers

@@ -1,6 +1,6 @@
 r"""Train a receiver to imitate another one by DAgger (Ross, Gordon and Bagnell, AISTATS 2011).
 
-    python experiments/training/train_receiver_ppo.py --data-dir DIR --giver replay --control-period 0.1 \
+    python experiments/training/train_ppo.py --data-dir DIR --partner replay --control-period 0.1 \
         --discount 0.95 --decisions 30000 --out runs/servo.npz
     python experiments/training/train_receiver_dagger.py --data-dir DIR --expert learned:runs/servo.npz \
         --out runs/dagger
@@ -9,7 +9,7 @@ In each round, batches of episodes are simulated together. In the first round th
 In later rounds, the network acts first; the expert takes over at a random time, or when the network closes the gripper,
 and shows how to go on from there. Decisions of the expert are recorded. The network is trained anew after each round.
 It maps features to the outputs of an action scheme, such as motions of the gripper, without a script. The folder gets
-`policy.npz` (`--receiver learned:runs/dagger/policy.npz`), from which `train_receiver_ppo.py --initial` starts;
+`policy.npz` (`--receiver learned:runs/dagger/policy.npz`), from which `train_ppo.py --initial` starts;
 `--resume` continues a run.
 """
 

@@ -19,10 +19,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-import train_receiver_ppo
-import train_sb3
+import train_ppo
 
-from handover_marl.errors import OptionError, ResultsError
+from handover_marl.errors import OptionError
 from handover_marl.execution.files import write_atomically
 from handover_marl.learning.training.run_folder import open_run_folder
 from handover_marl.learning.training.scene_arguments import SetupArgs, run_script
@@ -45,8 +44,9 @@ class Args(SetupArgs):
         partner: Partner of the method best_response; default: replay for receivers, yang2021 for givers.
         population: Name of a shipped population, or path of a file.
         pairs: Number of pairs of the method fictitious_co_play.
-        receiver: Further arguments of `train_receiver_ppo.py`; this script sets giver, out, seed and the data.
-        giver: Further arguments of `train_sb3.py`; this script sets agent, partner, out, seed, resume and the data.
+        receiver: Further arguments of `train_ppo.py` for receivers; this script sets agent, partner, out, seed and
+            the data.
+        giver: Further arguments of `train_ppo.py` for givers.
     """
 
     agent: Literal["receiver", "giver"] = "receiver"
@@ -56,16 +56,14 @@ class Args(SetupArgs):
     partner: str = ""
     population: str = DEFAULT_POPULATION
     pairs: int = 3
-    receiver: train_receiver_ppo.Args = field(
-        default_factory=lambda: train_receiver_ppo.Args(val_scenes=0, minutes=_MAX_MINUTES)
-    )
-    giver: train_sb3.Args = field(
-        default_factory=lambda: train_sb3.Args(
-            agent="giver",
+    receiver: train_ppo.Args = field(default_factory=lambda: train_ppo.Args(val_scenes=0, minutes=_MAX_MINUTES))
+    giver: train_ppo.Args = field(
+        default_factory=lambda: train_ppo.Args(
             decisions=8192,
             batch_size=512,
             control_period=0.1,
             initial_std=0.25,
+            val_scenes=0,
             minutes=_MAX_MINUTES,
         )
     )
@@ -82,37 +80,31 @@ class Args(SetupArgs):
         return open_run_folder(path, self, path.exists(), self.open_dataset().name, free)
 
 
-def train_policy(args: Args, agent: str, partner: str, path: Path, seed: int, share: float = 1.0) -> Path:
-    """Train the policy of an agent with a fixed partner and write its file, unless this file exists.
+def train_policy(
+    args: Args, agent: Literal["receiver", "giver"], partner: str, path: Path, seed: int, share: float = 1.0
+) -> Path:
+    """Train the policy of an agent with a fixed partner, for a share of its decisions, and write its file.
 
-    The training stops after a share of its decisions; that of a giver continues in its folder.
+    A file that exists is left as it is.
     """
     if path.exists():
         return path
+    own: train_ppo.Args = getattr(args, agent)
+    features = "close_stack" if args.method == "history" and agent == "receiver" else own.features
     where: dict[str, Any] = {"data_dir": args.data_dir, "dataset": args.dataset, "setup": args.setup, "seed": seed}
-    if agent == "receiver":
-        features = "close_stack" if args.method == "history" else args.receiver.features
-        decisions = round(share * args.receiver.decisions)
-        changed = replace(args.receiver, giver=partner, out=path, features=features, decisions=decisions, **where)
-        train_receiver_ppo.main(changed)
-        return path
-    folder, decisions = path.with_name(f"giver_{seed}"), round(share * args.giver.decisions)
-    policy = train_sb3.main(
-        replace(args.giver, partner=partner, out=str(folder), decisions=decisions, resume=folder.exists(), **where)
+    decisions = round(share * own.decisions)
+    return train_ppo.main(
+        replace(own, agent=agent, partner=partner, out=path, features=features, decisions=decisions, **where)
     )
-    write_atomically(path, policy.read_bytes())
-    return path
 
 
 def train_pairs(args: Args) -> Path:
     """Train the pairs, and return the file of the population of their policies."""
     folder = args.open_folder("pairs", ("agent", "method", "seeds", "partner", "population"))
-    partners: dict[str, list[Partner]] = {"giver": [], "receiver": []}
+    partners: dict[Literal["receiver", "giver"], list[Partner]] = {"giver": [], "receiver": []}
     for seed in range(_FIRST_PAIR_SEED, _FIRST_PAIR_SEED + args.pairs):
         for agent, partner in (("receiver", "replay"), ("giver", f"learned:{folder}/receiver_final_{seed}.npz")):
             mid, final = (folder / f"{agent}_{label}_{seed}.npz" for label in ("mid", "final"))
-            if final.exists() and not mid.exists():
-                raise ResultsError(f"{mid} must exist beside {final.name}; remove {final} and {folder / agent}_{seed}")
             for path, share in ((mid, 0.5), (final, 1.0)):
                 train_policy(args, agent, partner, path, seed, share)
                 policy = f"learned:{{folder}}/{path.name}"

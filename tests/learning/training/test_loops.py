@@ -13,7 +13,7 @@ from tests.learning.training.scripts import script
 
 pytest.importorskip("torch", reason="needs an extra with PyTorch")
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]
-SCRIPTS = {"train_both_torchrl": "torchrl", "train_both_rllib": "ray.rllib", "train_both_benchmarl": "benchmarl"}
+SCRIPTS = {"train_both_rllib": "ray.rllib", "train_both_benchmarl": "benchmarl"}
 SMALL: dict[str, Any] = {
     **{"dataset": "synthetic", "decisions": 32, "batch_size": 16, "minibatch_size": 8, "epochs": 1},
     **{"num_envs": 1, "width": 8, "time_limit": 1.0, "val_scenes": 1},

@@ -1,4 +1,4 @@
-"""Script that trains with a population; the two scripts that it calls write random networks."""
+"""Script that trains with a population; the script that it calls writes random networks."""
 
 from pathlib import Path
 from types import ModuleType
@@ -14,7 +14,7 @@ from handover_marl.learning.policy_spec import DenseNetwork, PolicySpec
 from handover_marl.policies.reference import parse_policy
 from tests.learning.training.scripts import script
 
-pytest.importorskip("stable_baselines3", reason="needs the extra `train`")
+pytest.importorskip("torch", reason="needs the extra `train`")
 
 SIZES = {"receiver": (12, 7, "close", "grasp_servo"), "giver": (39, 7, "giver", "offer")}
 
@@ -36,26 +36,20 @@ def calls() -> list[Any]:
 def train(calls: list[Any], monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     module = script("train_with_population", monkeypatch)
 
-    def train_receiver(args: Any) -> None:
+    def train(args: Any) -> Path:
         calls.append(args)
         args.out.parent.mkdir(parents=True, exist_ok=True)
-        write("receiver", args.out)
+        return write(args.agent, args.out)
 
-    def train_giver(args: Any) -> Path:
-        calls.append(args)
-        Path(args.out).mkdir(parents=True, exist_ok=True)
-        return write("giver", Path(args.out) / "policy.npz")
-
-    monkeypatch.setattr(module.train_receiver_ppo, "main", train_receiver)
-    monkeypatch.setattr(module.train_sb3, "main", train_giver)
+    monkeypatch.setattr(module.train_ppo, "main", train)
     return module
 
 
 @pytest.mark.parametrize(
     ("method", "giver", "features"),
     [
-        ("best_response", "replay", "close"),
-        ("population", "population:population=strangers-v1", "close"),
+        ("best_response", "replay", ""),
+        ("population", "population:population=strangers-v1", ""),
         ("history", "population:population=strangers-v1", "close_stack"),
     ],
 )
@@ -63,7 +57,7 @@ def test_receivers(method: str, giver: str, features: str, train: ModuleType, ca
     args = train.Args(dataset="synthetic", method=method, seeds=(3, 5), out=tmp_path)
     paths = train.main(args)
     assert paths == [tmp_path / f"receiver_{method}" / f"{seed}.npz" for seed in (3, 5)]
-    assert [(call.giver, call.features, call.seed, call.setup) for call in calls] == [
+    assert [(call.partner, call.features, call.seed, call.setup) for call in calls] == [
         (giver, features, seed, "s0") for seed in (3, 5)
     ]
     paths[0].unlink()
@@ -75,15 +69,13 @@ def test_fictitious_co_play(train: ModuleType, calls: list[Any], tmp_path: Path)
     common = {"dataset": "synthetic", "method": "fictitious_co_play", "out": tmp_path, "pairs": 2, "seeds": (0,)}
     (receiver,) = train.main(train.Args(**common))
     (giver,) = train.main(train.Args(**common, agent="giver"))
-    policies = [parse_policy("receiver", calls[8].giver), parse_policy("giver", calls[8].giver)]
+    policies = [parse_policy("receiver", calls[8].partner), parse_policy("giver", calls[8].partner)]
     assert receiver == tmp_path / "receiver_fictitious_co_play" / "0.npz"
     for policy in (policies[1], parse_policy("receiver", calls[9].partner)):
         made: Any = policy.make(SyntheticDataset())
         assert len(made.members) == 4
     assert [call.decisions for call in calls[:4]] == [6144, 12288, 4096, 8192]
     assert calls[2].partner == calls[3].partner == f"learned:{tmp_path}/pairs/receiver_final_1000.npz"
-    # The giver continues its own training.
-    assert [call.resume for call in calls[2:4]] == [False, True]
     assert len(calls) == 10
     assert giver.is_file()
 

@@ -1,10 +1,13 @@
-"""Train a receiver for a fixed giver by PPO in plain PyTorch, in one file.
+"""Train one agent with a fixed partner by PPO in plain PyTorch, in one file.
 
-    python experiments/training/train_receiver_ppo.py --data-dir DIR --out runs/ppo.npz
+    python experiments/training/train_ppo.py --data-dir DIR --out runs/ppo.npz
+    python experiments/training/train_ppo.py --data-dir DIR --agent giver --out runs/giver.npz
 
-The policy learns from a reward when to close the gripper and how to correct the approach to a grasp. With
-`--initial FILE` it starts from a policy of `train_receiver_dagger.py`, which moves the gripper without a script; this
-needs a small `--learning-rate`, and has not raised the success rate so far.
+A receiver learns when to close the gripper and how to correct the approach to a grasp (action scheme `grasp_servo`);
+an episode of a giver is one decision, the pose in which it holds out the object (action scheme `offer`). Both learn
+from the reward of a success. With `--initial FILE` the training of a policy file continues. That of a receiver of
+`train_receiver_dagger.py`, which moves the gripper without a script, needs a small `--learning-rate`, and has not
+raised the success rate so far.
 
 The script needs the extra `train`, and with `--backend warp` the extra `warp`: environments and networks are then on
 one device, for example `--backend warp --device cuda --num-envs 1024`. The policy file runs without PyTorch:
@@ -17,14 +20,16 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import torch
 from gymnasium.spaces import flatdim
+from pair import FEATURES, SCHEMES
 from torch import nn
 from torch.distributions import Normal
 
 import handover_marl
+from handover_marl.envs.agents import AGENTS
 from handover_marl.envs.custom_rewards import set_discount
 from handover_marl.geometry.arrays import make_tensor_factory
 from handover_marl.learning.adapters.modules import dense_network_from_layers
@@ -34,16 +39,19 @@ from handover_marl.learning.training.run_folder import describe_origin, make_mlp
 from handover_marl.learning.training.scene_arguments import RlArgs, run_script
 from handover_marl.simulation.engines import CPU, THREADS, WARP, BatchBackend, check_backend
 
+_PARTNERS = {"giver": "yang2021", "receiver": "cooperative"}
+
 
 @dataclass(frozen=True)
 class Args(RlArgs):
-    """Arguments of the training of a receiver by PPO.
+    """Arguments of the training of one agent by PPO.
 
     Attributes:
         out: Policy file to write.
-        giver: Fixed policy of the giver, with options.
-        features: Features of the receiver: close, or close_stack for those of the last four decisions.
-        action_scheme: Action scheme of the receiver.
+        agent: Agent that learns.
+        partner: Fixed policy of the other agent, with options; default: cooperative for receivers, yang2021 for givers.
+        features: Features that the agent observes; default: close for receivers, giver for givers.
+        action_scheme: Action scheme of the agent; default: grasp_servo for receivers, offer for givers.
         rewards: Rewards: sparse, shaped, or module:name of own ones, see docs/reference/rewards.md.
         initial: Policy file whose network is trained further, with its features, actions and control period; None
             trains a new network.
@@ -51,15 +59,16 @@ class Args(RlArgs):
         workers: Number of processes that simulate the environments; not used with the backend "warp".
         backend: Backend of the environments: "threads" for MuJoCo on the processor, or "warp" for MuJoCo Warp.
         device: Device of environments and networks with the backend "warp": cuda, or cpu for tests.
-        gripper_initial_std: Initial standard deviation of the output that closes the gripper.
+        gripper_initial_std: Initial standard deviation of the output that closes a receiver's gripper.
         val_scenes: Number of validation scenes of the final evaluation, evenly chosen; 0 skips it.
         val_physics: Physics of the final evaluation: fast, exact or mujoco.
     """
 
     out: Path = Path("runs/ppo.npz")
-    giver: str = "cooperative"
-    features: str = "close"
-    action_scheme: str = "grasp_servo"
+    agent: Literal["receiver", "giver"] = "receiver"
+    partner: str = ""
+    features: str = ""
+    action_scheme: str = ""
     rewards: str = "sparse"
     initial: Path | None = None
     decisions: int = 12_288
@@ -314,7 +323,13 @@ def train(
 
 
 def main(args: Args) -> Path:
-    args = args.resolve_setup()
+    agent, args = args.agent, args.resolve_setup()
+    args = replace(
+        args,
+        partner=args.partner or _PARTNERS[agent],
+        features=args.features or FEATURES[agent],
+        action_scheme=args.action_scheme or SCHEMES[agent],
+    )
     check_backend(BatchBackend(args.backend, args.device))
     if args.backend == WARP:
         args = replace(args, workers=1)
@@ -322,35 +337,35 @@ def main(args: Args) -> Path:
     args.out.parent.mkdir(parents=True, exist_ok=True)  # before the training, whose result it must not cost
     initial = None
     if args.initial is not None:
-        spec, initial, _ = read_policy(args.initial, "receiver")
+        spec, initial, _ = read_policy(args.initial, agent)
         args = replace(args, features=spec.features, action_scheme=spec.actions, control_period=spec.control_period)
     where = {"processes": 1} if args.backend == THREADS else {"backend": args.backend, "device": args.device}
     models = train(
         args,
-        ("receiver",),
+        (agent,),
         args.workers,
         # Random closing succeeds now and then, so the gripper's output is explored more than the motion.
-        gripper_std=args.gripper_initial_std,
+        gripper_std=args.gripper_initial_std if agent == "receiver" else None,
         initial=initial and initial.copy_to(make_tensor_factory(args.device)),
         device=args.device,
         minutes=args.minutes,
-        partner=args.giver,
+        partner=args.partner,
         features=args.features,
         action_scheme=args.action_scheme,
         rewards=set_discount(args.rewards, args.discount),
         **where,
     )
-    spec = PolicySpec(
-        "receiver", args.features, args.action_scheme, args.control_period, describe_origin("train_receiver_ppo", args)
-    )
-    network = dense_network_from_layers(models["receiver"].actor, "tanh")
+    origin = describe_origin("train_ppo", args)
+    spec = PolicySpec(agent, args.features, args.action_scheme, args.control_period, origin)
+    network = dense_network_from_layers(models[agent].actor, "tanh")
     if initial is not None:
         network = replace(network, normalization=initial.normalization)
     write_policy(args.out, spec, network)
     print(args.out)
     if args.val_scenes:
-        label = f"{args.setup} val with the giver {args.giver}"
-        validate(args, args.val_scenes, args.giver, f"learned:{args.out}", label, physics=args.val_physics)
+        giver, receiver = (args.partner if agent != name else f"learned:{args.out}" for name in AGENTS)
+        label = f"{args.setup} val with the partner {args.partner}"
+        validate(args, args.val_scenes, giver, receiver, label, physics=args.val_physics)
     return args.out
 
 

@@ -13,7 +13,7 @@ from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.learning.policy_files import read_policy, write_policy
 from handover_marl.learning.policy_spec import DenseNetwork, InputNormalization, PolicySpec
 from tests.helpers.short_episodes import shorten_episodes
-from tests.learning.training.scripts import script
+from tests.learning.training.scripts import REWARDS, script
 
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
 SCENES = SyntheticDataset().list_scenes("s0", "val")[:1]
@@ -21,7 +21,7 @@ SCENES = SyntheticDataset().list_scenes("s0", "val")[:1]
 
 @pytest.fixture
 def train(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    return script("train_receiver_ppo", monkeypatch)
+    return script("train_ppo", monkeypatch)
 
 
 @pytest.mark.slow
@@ -35,13 +35,25 @@ def test_training_and_evaluation(
     assert train.main(args) == out
     printed = capsys.readouterr().out
     assert re.findall(r"^(\d+) decisions,", printed, re.MULTILINE) == ["16", "32"]
-    (result,) = re.findall(r"s0 val with the giver cooperative: success (.*?) %, .*1 scenes of synthetic", printed)
+    (result,) = re.findall(r"s0 val with the partner cooperative: success (.*?) %, .*1 scenes of synthetic", printed)
     # A policy that has learned little may succeed by chance.
     assert result in ("0.0 (0.0 to 79.3)", "100.0 (20.7 to 100.0)")
     monkeypatch.setitem(sys.modules, "torch", None)
     where = {"split": "val", "dataset": "synthetic", "physics": "fast", "workers": 1}
     report = evaluate_pair("replay", f"learned:{out}", scenes=SCENES, **where)
     assert len(report.episodes) == 1
+
+
+@pytest.mark.slow
+def test_a_giver_learns_with_own_rewards(train: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An episode is one decision of the giver."""
+    shorten_episodes(monkeypatch, 2800)
+    out = tmp_path / "giver.npz"
+    small = {"num_envs": 2, "batch_size": 4, "minibatch_size": 2, "decisions": 4, "workers": 1, "time_limit": 3.0}
+    where = {"dataset": "synthetic", "val_scenes": 0, "rewards": REWARDS}
+    train.main(train.Args(agent="giver", partner="hold", out=out, **small, **where))
+    spec, _, _ = read_policy(out, "giver")
+    assert (spec.agent, spec.features, spec.actions) == ("giver", "giver", "offer")
 
 
 @pytest.mark.slow
