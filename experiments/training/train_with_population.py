@@ -28,6 +28,7 @@ from handover_marl.learning.training.scene_arguments import SetupArgs, run_scrip
 from handover_marl.policies.populations import DEFAULT_POPULATION, TRAIN, Partner, format_population, load_population
 from handover_marl.policies.reference import parse_policy
 
+_Agent = Literal["receiver", "giver"]
 _FIRST_PAIR_SEED = 1000
 _MAX_MINUTES = 600.0
 
@@ -49,7 +50,7 @@ class Args(SetupArgs):
         giver: Further arguments of `train_ppo.py` for givers.
     """
 
-    agent: Literal["receiver", "giver"] = "receiver"
+    agent: _Agent = "receiver"
     method: Literal["best_response", "population", "fictitious_co_play", "history"] = "population"
     seeds: tuple[int, ...] = (0, 1, 2)
     out: Path = Path("runs/population")
@@ -80,9 +81,7 @@ class Args(SetupArgs):
         return open_run_folder(path, self, path.exists(), self.open_dataset().name, free)
 
 
-def train_policy(
-    args: Args, agent: Literal["receiver", "giver"], partner: str, path: Path, seed: int, share: float = 1.0
-) -> Path:
+def train_policy(args: Args, agent: _Agent, partner: str, path: Path, seed: int, share: float = 1.0) -> Path:
     """Train the policy of an agent with a fixed partner, for a share of its decisions, and write its file.
 
     A file that exists is left as it is.
@@ -101,9 +100,11 @@ def train_policy(
 def train_pairs(args: Args) -> Path:
     """Train the pairs, and return the file of the population of their policies."""
     folder = args.open_folder("pairs", ("agent", "method", "seeds", "partner", "population"))
-    partners: dict[Literal["receiver", "giver"], list[Partner]] = {"giver": [], "receiver": []}
+    partners: dict[_Agent, list[Partner]] = {"giver": [], "receiver": []}
     for seed in range(_FIRST_PAIR_SEED, _FIRST_PAIR_SEED + args.pairs):
-        for agent, partner in (("receiver", "replay"), ("giver", f"learned:{folder}/receiver_final_{seed}.npz")):
+        trained = f"learned:{folder}/receiver_final_{seed}.npz"
+        turns: tuple[tuple[_Agent, str], ...] = (("receiver", "replay"), ("giver", trained))
+        for agent, partner in turns:
             mid, final = (folder / f"{agent}_{label}_{seed}.npz" for label in ("mid", "final"))
             for path, share in ((mid, 0.5), (final, 1.0)):
                 train_policy(args, agent, partner, path, seed, share)

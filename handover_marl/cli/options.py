@@ -56,10 +56,11 @@ def make_number_option(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any]
         if texts[0] == "None" and NoneType in types:
             return None
         try:
-            return kind(texts[0])
+            number: int | float = kind(texts[0])
         except ValueError as error:
             valid = " or ".join(["a whole number" if kind is int else "a number", *words])
             raise OptionError(f"must be {valid}, got {texts[0]!r}") from error
+        return number
 
     return PrimitiveConstructorSpec(
         nargs=1,
