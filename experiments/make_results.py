@@ -52,17 +52,18 @@ EPISODES, EVALUATIONS, TEST_USE = DATA / "episodes", DATA / "evaluations.json", 
 _TITLES = (column.title for column in (WAIT, N_EPISODES, *RATES, *TIMES, AVERAGE_SUCCESS))
 HEADER = ("receiver", "setup", *_TITLES, "version")
 OUTCOMES = tuple(column.key for column in RATES)
-POSE, POSES, POSES_AND_HAND = "true pose of the object", "true poses of all objects", "true poses of all objects, hand"
+POSE, POSES = "true pose of the object", "true poses of all objects"
+POSES_AND_HAND = f"{POSES} and of the hand"
 #: Input of each receiver, and the marker of this kind of input in the figure.
 INPUTS = {
     "yang2021": (POSE, "o"),
     "omg": (POSES, "o"),
     "omg_unchecked_last": (POSES, "o"),
     "omg_hand_aware": (POSES_AND_HAND, "s"),
-    "reactive": (f"{POSES_AND_HAND}, release; validated grasps", "s"),
+    "reactive": (f"{POSES_AND_HAND}; release; validated grasps", "s"),
     "gaddpg": ("points of the object", "^"),
     "vision": ("points of objects and hand", "^"),
-    "dagger": (f"{POSE}, hand, release; validated grasps", "s"),
+    "dagger": (f"{POSE} and of the hand; release; validated grasps", "s"),
 }
 MARKERS = {
     "o": "true poses of objects",
@@ -253,7 +254,7 @@ def list_published(receiver: str, setup: str) -> list[PublishedResult]:
 def select_evaluations(
     evaluations: Iterable[Evaluation], receivers: tuple[str, ...], dataset: str = "dexycb"
 ) -> list[Evaluation]:
-    """Return receivers' evaluations on one data set; raise `SystemExit` if objects or models (`data`) differ."""
+    """Return the evaluations of receivers on one data set; exit if they differ in objects or models of the scenes."""
     chosen = [one for one in evaluations if one.name in receivers and one.dataset == dataset]
     if len({one.data for one in chosen}) > 1:
         raise SystemExit(f"evaluations of {receivers} are of different data: {sorted({one.data for one in chosen})}")
@@ -261,9 +262,10 @@ def select_evaluations(
 
 
 def make_table(evaluations: Iterable[Evaluation], receivers: tuple[str, ...], dataset: str = "dexycb") -> str:
-    """Return a Markdown table of the test results of some receivers on one data set, with published results and inputs.
+    """Return a Markdown table of the test results of some receivers on one data set, and a line with their inputs.
 
-    Planning and total times are left out if no evaluation has them.
+    On DexYCB, the table has the published results of the methods in `METHODS` of the first receiver, too. Planning and
+    total times are left out if no evaluation has them.
     """
     chosen = select_evaluations(evaluations, receivers, dataset)
     has_published, rows = dataset == "dexycb" and receivers[0] in METHODS, []

@@ -111,7 +111,13 @@ def main(args: Args) -> dict[tuple[str, str], npt.NDArray[np.bool_]]:
 
 
 def draw_figure(found: dict[tuple[str, str], npt.NDArray[np.bool_]], numbers: list[int], path: Path) -> None:
-    """Plot the success of the best of K random offers against K, a curve for each receiver and quantity."""
+    """Plot the success of the best of K offers against K, with a curve for each receiver and quantity that varies.
+
+    Args:
+        found: Successes (scenes, draws) by receiver and key of `QUANTITIES`.
+        numbers: Values of K.
+        path: Image file to write.
+    """
     from matplotlib import pyplot as plt
 
     figure, axes = plt.subplots(figsize=(6.5, 4.0), layout="constrained")

@@ -123,7 +123,7 @@ class Episodes:
         return self._worlds.read_contacts(row, bool(self.released[row]))
 
     def make_infos(self, rows: AnyIndices) -> dict[str, AnyArray]:
-        """Return the infos of the episodes `rows`, arrays (r,) by the keys of `HandoverEnv`, without reward terms."""
+        """Return the infos of the episodes `rows` as arrays (r,) by key, see docs/reference/environment.md."""
         referees = self.referees
         return {
             "scene_id": self._scene_ids[rows],

@@ -84,7 +84,7 @@ class RefereeState(NamedTuple):
         return RefereeState(*(array[rows] for array in self))
 
     def assign_rows(self, rows: AnyIndices, states: "RefereeState") -> None:
-        """Set the states of some of n episodes to `states` of r episodes; `rows` (r,) are their indices."""
+        """Replace the states of the episodes with the indices `rows` (r,) by `states`."""
         for array, values in zip(self, states, strict=True):
             array[rows] = values
 

@@ -183,6 +183,8 @@ def find_via_point(
 ) -> Array | None:
     """Return the via point (7,) of the fastest clear path from start to goal, (7,) in rad; None if there is none.
 
+    A path is clear, too, if it comes no closer to obstacles than its start is.
+
     The paths from start to via point and from there to the goal are straight in joint space. Candidates are the
     `known` ones (n, 7) and random ones around the middle of the path; the `max_candidates` fastest are checked,
     with joint speeds (7,) in rad/s.

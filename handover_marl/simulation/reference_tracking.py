@@ -107,11 +107,14 @@ class BodyTrajectory:
         return np.where(self.present[row + 2 :, None], self.joints[row + 2 :, :3], np.inf)
 
     def is_present_after(self, row: int) -> bool:
-        """Return whether the body is in the scene after step `row`, -2 or more, of the current reference motion."""
+        """Return whether the body is in the scene after step `row` of the current reference motion.
+
+        Rows -1 and -2 are the last two steps before this motion.
+        """
         return bool(self.present[row + 2])
 
     def get_joints(self, row: int) -> Array:
-        """Return the joint positions (d,) after step `row`, -2 or more, of the current reference motion (m, rad)."""
+        """Return the joint positions (d,) after step `row` (m, rad); see `is_present_after`."""
         joints: Array = self.joints[row + 2]
         return joints
 

@@ -115,7 +115,10 @@ class RetreatController:
         return time - self._remaining_at > _STALL_TIMEOUT
 
     def _select_end(self, joints: Array, gripper_pose: Array) -> Array:
-        """Return the configuration (7,) with the hand link near the goal that is reached soonest on a clear path."""
+        """Return the configuration (7,) with the hand link near the goal that is reached soonest on a clear path.
+
+        If no path is clear of person, arm and obstacles, the hand may be nearer; if none is clear of the arm, all may.
+        """
         ends, times = self._solve_ends(joints, gripper_pose)
         order = np.argsort(times, kind="stable")
         fastest = order[:_MAX_PATH_CHECKS]

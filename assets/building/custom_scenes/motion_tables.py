@@ -283,7 +283,10 @@ def _make_table(arrays: Mapping[str, Any], config: MotionConfig) -> MotionTable:
 
 
 def _read_time(time: Array, config: MotionConfig, repairs: list[str]) -> Array:
-    """Return times from 0 (s), checked to ascend without a long gap; append the filling of gaps to `repairs`."""
+    """Return times from 0 (s); note short gaps, which are interpolated later, in `repairs`.
+
+    Times that do not increase, a duration out of range or a gap over `max_gap` raise a `ValueError`.
+    """
     if time.ndim != 1 or len(time) < 2:
         raise ValueError(f"time must have shape (T,) with at least 2 rows, got shape {time.shape}")
     seconds: Array = (time - time[0]) * _TIMES[config.time]

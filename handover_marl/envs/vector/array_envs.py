@@ -305,7 +305,7 @@ class ArrayEnvs:
         self._episodes.close()
 
     def _start(self, row: int, episode: int, options: Mapping[str, Any] | None) -> None:
-        """Start the episode `episode` for the environment `row`, in the scene of `options` or a drawn one."""
+        """Start an episode of environment `row` in place `episode` of the simulation; `options` may name the scene."""
         rng = self._rngs[row]
         scene_id = self._base.choose_scene(options, rng)
         robot_seed, camera_seed = draw_seeds(rng, self._base.config.world_config)

@@ -121,7 +121,13 @@ class GraspNetwork(SavedNetwork):
         )
 
     def _encode_cloud(self, points: Tensor, mask: Tensor, clouds: PointCloudBatch) -> Tensor:
-        """Return features (B, 256) of clouds from those of their points (B, N + M, 128), the object's points first."""
+        """Return the features (B, 256) of clouds.
+
+        Args:
+            points: (B, N + M, 128) features of the points: N of the object, M of the hand.
+            mask: (B, N + M) 1 for points, 0 for padding.
+            clouds: The clouds, with the velocities of the objects.
+        """
         n_object = clouds.object_points.shape[1]
         object_features = self.whole[0](points[:, :n_object]).max(dim=1).values
         hand_features = (self.whole[1](points[:, n_object:]) * mask[:, n_object:, None]).max(dim=1).values
