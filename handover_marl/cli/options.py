@@ -33,7 +33,7 @@ PopulationName = Annotated[
 ]
 Workers = Annotated[int | None, tyro.conf.arg(metavar="N", help="Number of worker processes; default: one per core.")]
 Progress = Annotated[bool, tyro.conf.arg(help="Show a progress bar on stderr.")]
-Trust = Annotated[bool, tyro.conf.arg(help="Import modules that files name, and run code in policy files.")]
+Trust = Annotated[bool, tyro.conf.arg(help="Import modules that files name.")]
 
 
 #: Rules that read options.

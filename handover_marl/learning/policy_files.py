@@ -1,10 +1,4 @@
-"""Reader and writer of policy files: a network and its encoding.
-
-| suffix | content | loading |
-|---|---|---|
-| .npz | weights of a `DenseNetwork`, and a `PolicySpec` as JSON; written by `export_policy` | always safe |
-| .zip | Stable-Baselines3 model trained with `control_agent` or `encode` | may run code: needs trust, extra `train` |
-"""
+"""Reader and writer of policy files (.npz): the weights of a `DenseNetwork`, and a `PolicySpec` as JSON."""
 
 import hashlib
 import json
@@ -16,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverError, OptionError, UnsafeFileError
+from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverError, OptionError
 from handover_marl.execution.files import shorten_text, write_arrays
 from handover_marl.execution.reading import read_arrays, read_plain_file
 from handover_marl.learning.policy_spec import DenseNetwork, InputNormalization, OutputBounds, PolicySpec
@@ -48,18 +42,23 @@ def write_policy(path: Path, spec: PolicySpec, network: DenseNetwork) -> None:
 
 
 def read_policy(path: Path, agent: str, trust: bool = False, **given: Any) -> tuple[PolicySpec, DenseNetwork, str]:
-    """Read a policy file of any kind.
+    """Read a policy file; no code in it is run.
 
     Args:
         path: Policy file.
         agent: Agent that the policy must control, "giver" or "receiver".
-        trust: Whether code in the file may run, and modules that it names may be imported.
+        trust: Whether modules that the file names may be imported.
         **given: Fields of `PolicySpec` that replace the fields in the file; None keeps a field, see `complete_spec`.
 
     Returns:
         Encoding, network from features to outputs, and unique label of the policy in result files: file name and a
         hash of the content.
     """
+    if path.suffix != ".npz":
+        raise OptionError(
+            f"{path}: a policy file must end in .npz; load the network by its own library, such as PPO.load, and pass "
+            f"it to handover_marl.as_{agent}, or write it by handover_marl.export_policy"
+        )
     try:
         content = read_plain_file(path)
     except OSError as error:
@@ -69,15 +68,7 @@ def read_policy(path: Path, agent: str, trust: bool = False, **given: Any) -> tu
         ) from error
     except ValueError as error:
         raise DataFormatError(f"{path}: cannot read this policy file ({error})") from error
-    if path.suffix == ".npz":
-        recorded, network = _read_npz(path, content)
-    elif path.suffix == ".zip":
-        recorded, network = _read_zip(path, content, trust)
-    else:
-        raise OptionError(
-            f"{path}: policy files are .npz or .zip (Stable-Baselines3); pass as_{agent} a function that calls other "
-            "networks"
-        )
+    recorded, network = _read_npz(path, content)
     for key, kind in (("features", "features"), ("actions", "action scheme")):
         if key in recorded and given.get(key) is None:
             check_stored_reference(path, kind, recorded[key], trust)
@@ -114,25 +105,6 @@ def complete_spec(
         if fields.get(key) is None:
             raise OptionError(f"{where}: {name} must be given, because the model does not record it")
     return PolicySpec(**fields | {"control_period": float(period)})
-
-
-def _read_zip(path: Path, content: bytes, trust: bool) -> tuple[dict[str, Any], DenseNetwork]:
-    """Return the recorded fields of `PolicySpec` and the network in a file of Stable-Baselines3, which has pickles."""
-    if not trust:
-        raise UnsafeFileError(
-            f"{path}: a file of Stable-Baselines3 can run code; pass trust=True (--trust) if you know where it comes "
-            "from, or write the policy as .npz with handover_marl.export_policy"
-        )
-    try:
-        # Not at the top, because policies in .npz files do not need Stable-Baselines3.
-        from handover_marl.learning.adapters import sb3_models
-    except ImportError as error:
-        raise OptionError(f"{path} needs Stable-Baselines3: pip install 'handover-marl[train]'") from error
-    try:
-        model = sb3_models.load_sb3_model(content)
-    except Exception as error:  # unpickling may raise anything
-        raise DataFormatError(f"{path}: not a model of Stable-Baselines3 ({shorten_text(error)})") from error
-    return sb3_models.get_recorded_encoding(model), sb3_models.dense_network_from_sb3(model)
 
 
 def _read_npz(path: Path, content: bytes) -> tuple[dict[str, Any], DenseNetwork]:

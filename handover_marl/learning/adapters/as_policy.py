@@ -45,7 +45,6 @@ def as_receiver(
     | function or callable object | the observation, a dict of arrays | `reset(seed)` is called if it exists |
     | PyTorch module | (1, n) flat observation; with camera data a dict of (1, ...) tensors | copied to the CPU |
     | model of Stable-Baselines3 | as in training | PPO, A2C, SAC, TD3, DDPG |
-    | file of such a model, .zip | as in training | can run code, needs `trust=True` |
     | policy file, .npz | as in training | see `handover_marl.export_policy` |
 
     By default the outputs are nine target joint positions (rad, m). The policy is copied: later training of
@@ -58,7 +57,7 @@ def as_receiver(
         features: Features that are the inputs, as in `handover_marl.encode`; "observation" for the observation itself.
         action_scheme: Action scheme that decodes the outputs, as in `handover_marl.encode`.
         name: Name in tables and result folders; default: the name of the function, class or file and a hash.
-        trust: Whether code of a .zip file may run, and modules that a file names may be imported.
+        trust: Whether modules that a file names may be imported.
 
     Raises:
         OptionError: The policy does not fit the features or the action scheme, cannot be sent to worker
@@ -66,7 +65,7 @@ def as_receiver(
         UnknownNameError: There are no such features, no such action scheme or observation mode.
         DataNotFoundError: A file does not exist.
         DataFormatError: A file is damaged, or its policy is for the other agent or other spaces.
-        UnsafeFileError: A file contains code, or names a module, and is not trusted.
+        UnsafeFileError: A file names a module, and is not trusted.
     """
     parse_obs_mode(obs_mode)
     given = {"features": features, "actions": action_scheme, "control_period": control_period}

@@ -1,6 +1,5 @@
-"""Models of Stable-Baselines3: loading, and conversion to networks of policy files. Needs the extra `train`."""
+"""Conversion of models of Stable-Baselines3 to networks of policy files. Needs the extra `train`."""
 
-import io
 from dataclasses import replace
 from typing import Any
 
@@ -8,12 +7,8 @@ import numpy as np
 from gymnasium import spaces
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import ActorCriticPolicy
-from stable_baselines3.common.save_util import load_from_zip_file
 from stable_baselines3.common.vec_env import VecNormalize
-from stable_baselines3.ppo import PPO
-from stable_baselines3.sac import SAC
 from stable_baselines3.sac.policies import SACPolicy
-from stable_baselines3.td3 import TD3
 from stable_baselines3.td3.policies import TD3Policy
 from torch import nn
 
@@ -23,22 +18,7 @@ from handover_marl.geometry.arrays import use_default_torch_settings
 from handover_marl.learning.adapters.modules import dense_network_from_module, draw_inputs, is_close
 from handover_marl.learning.policy_spec import RAW_ENCODINGS, DenseNetwork, InputNormalization, OutputBounds
 
-# Algorithm that loads the files of each kind of policy: A2C's policies are those of PPO, DDPG's those of TD3.
-_LOADERS: dict[type, type[BaseAlgorithm]] = {ActorCriticPolicy: PPO, SACPolicy: SAC, TD3Policy: TD3}
 _SPACES = {"giver": giver_action_space, "receiver": receiver_action_space}
-
-
-def load_sb3_model(content: bytes) -> BaseAlgorithm:
-    """Load a model of PPO, A2C, SAC, TD3 or DDPG; pickles in the file are loaded, so it must be trusted.
-
-    Args:
-        content: Content of a file that the model's method `save` wrote.
-    """
-    data, _, _ = load_from_zip_file(io.BytesIO(content), device="cpu")
-    for policy_class, algorithm in _LOADERS.items():
-        if data is not None and issubclass(data["policy_class"], policy_class):
-            return algorithm.load(io.BytesIO(content), device="cpu")
-    raise ValueError("its policy is not of PPO, A2C, SAC, TD3 or DDPG")
 
 
 def dense_network_from_sb3(

@@ -99,7 +99,7 @@ def test_random_numbers_of_modules_come_from_the_seed() -> None:
         (stay, {"features": "grasp", "obs_mode": "pointcloud"}, r"take 'state\+pointcloud'"),
         (3, {}, "policy must be a function, a PyTorch module, .*, got 3"),
         (receivers.Receiver, {}, "got the policy .*; pass it directly"),
-        ("nowhere.zip", {}, "nowhere.zip: cannot read this policy file"),
+        ("nowhere.npz", {}, "nowhere.npz: cannot read this policy file"),
         (torch.nn.Linear(10, 7), {"features": "grasp", "action_scheme": "cartesian_delta"}, "64 inputs .*'grasp'"),
         (torch.nn.Linear(172, 7), {}, "9 outputs, got 7 outputs"),
         (threading.Lock().acquire, {}, "cannot be sent to worker processes"),

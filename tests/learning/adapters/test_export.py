@@ -99,13 +99,12 @@ def test_encoded_models_act_as_there(kind: str, encoded: Any, tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("kind", "name"), [("PPO", "Giver"), ("A2C", "Receiver"), ("SAC", "Giver"), ("DDPG", "Receiver")]
 )
-def test_files_of_models_of_plain_environments(kind: str, name: str, tmp_path: Path) -> None:
+def test_models_of_plain_environments(kind: str, name: str) -> None:
     env, agent = make_env(name, control_period=0.5), name.lower()
     seen, at_bounds, space = collect(env, 1), 0, env.action_space
     for scale, atol in ((1.0, 2e-5), (50.0, 1e-4)):
         model = make_model(kind, env, scale)
-        model.save(tmp_path / "policy.zip")
-        policy = getattr(handover_marl, f"as_{agent}")(tmp_path / "policy.zip", trust=True).make(DATA)
+        policy = getattr(handover_marl, f"as_{agent}")(model).make(DATA)
         assert policy.hold_time == 0.5
         policy.reset()
         for observation in seen:
@@ -141,16 +140,15 @@ def test_normalization_equals_that_of_vec_normalize_to_the_bit(encoded: Any) -> 
 
 
 def test_models_that_do_not_fit_are_refused(encoded: Any, tmp_path: Path) -> None:
-    path = tmp_path / "model.zip"
-    make_model("PPO", encoded).save(path)
+    model = make_model("PPO", encoded)
     plain = make_env("Receiver")
     rescaled = make_model("PPO", gymnasium.wrappers.RescaleAction(plain, -1.0, 1.0))
     squashed = make_model("PPO", plain, use_sde=True, policy_kwargs={"squash_output": True})
     gelu = make_model("PPO", plain, policy_kwargs={"activation_fn": torch.nn.GELU})
-    other = {"features": "close", "action_scheme": "grasp_servo", "trust": True}
+    other = {"features": "close", "action_scheme": "grasp_servo"}
     for policy, options, fault in (
-        (path, {"control_period": 0.1, "trust": True}, r"control_period must be 0\.2 as in training, got 0\.1"),
-        (path, other, "must have 12 inputs and 7 outputs, got 64 and 7"),
+        (model, {"control_period": 0.1}, r"control_period must be 0\.2 as in training, got 0\.1"),
+        (model, other, "must have 12 inputs and 7 outputs, got 64 and 7"),
         (squashed, {}, "computes something else"),
         (gelu, {}, "must consist of linear layers with one activation"),
         (rescaled, {}, "features must be given, because the model does not record it"),
@@ -158,12 +156,9 @@ def test_models_that_do_not_fit_are_refused(encoded: Any, tmp_path: Path) -> Non
         with pytest.raises(HandoverError, match=fault):
             handover_marl.as_receiver(policy, **options).make(DATA)
     with pytest.raises(DataFormatError, match="must be for the giver, got one for the receiver"):
-        handover_marl.as_giver(path, trust=True)
+        handover_marl.as_giver(model)
     with pytest.raises(OptionError, match="agent must be given, because the model does not record it"):
         handover_marl.export_policy(rescaled, tmp_path / "policy.npz")
-    path.write_bytes(b"no model")
-    with pytest.raises(DataFormatError, match="not a model of Stable-Baselines3"):
-        handover_marl.as_receiver(path, trust=True)
 
 
 class Functional(torch.nn.Module):  # type: ignore[misc, name-defined]
