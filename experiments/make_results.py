@@ -4,21 +4,18 @@
     python experiments/make_results.py --add results/yang results/omg   # store these result folders first
     python experiments/make_results.py --measure yang2021 --data-dir DIR   # evaluate on all test splits before
 
-`docs/results/data/evaluations.json` has one row for each evaluation of a test split by the official protocol. `--add`
-writes rows, a file with the outcome of every scene to `docs/results/data/episodes/`, and the use of the test split to
-`test_use.csv`. `--measure` evaluates receivers in exact physics; a scene in the test splits of several setups is
+`docs/results/data/episodes/` has a file with the outcome of every scene for each evaluation of a test split by the
+official protocol. `--add` writes these files, and the use of the test split to `test_use.csv`. `--measure` evaluates
+receivers in exact physics; a scene in the test splits of several setups is
 simulated once, and an interrupted run continues. Each template `docs/results/data/NAME.md.jinja` becomes the page
-`docs/results/NAME.md`. Differences are computed by `handover-marl compare`, only between evaluations with stored
-outcomes.
+`docs/results/NAME.md`. Differences are computed by `handover-marl compare`.
 """
 
 import itertools
-import json
 import re
 import shutil
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
@@ -48,7 +45,7 @@ from handover_marl.policies.reference import parse_policy
 
 FOLDER = Path(__file__).resolve().parents[1] / "docs" / "results"
 DATA = FOLDER / "data"
-EPISODES, EVALUATIONS, TEST_USE = DATA / "episodes", DATA / "evaluations.json", DATA / "test_use.csv"
+EPISODES, TEST_USE = DATA / "episodes", DATA / "test_use.csv"
 _TITLES = (column.title for column in (WAIT, N_EPISODES, *RATES, *TIMES, AVERAGE_SUCCESS))
 HEADER = ("receiver", "setup", *_TITLES, "version")
 OUTCOMES = tuple(column.key for column in RATES)
@@ -72,9 +69,6 @@ MARKERS = {
 }
 #: Published methods that are compared with each receiver.
 METHODS = {"yang2021": ("Yang",), "omg": ("OMG",), "gaddpg": ("GA-DDPG",)}
-NO_DIFFERENCES = (
-    "Paired differences are not shown: the outcomes of single scenes were not stored for at least one of the receivers."
-)
 
 
 @dataclass(frozen=True)
@@ -100,67 +94,57 @@ class Args:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Evaluation of a receiver on a whole test split by the official protocol: a row of `evaluations.json`.
+    """Evaluation of a receiver on a whole test split by the official protocol.
 
     Attributes:
-        receiver: Label of the receiver, without the waiting time and the hash of its own weights.
-        dataset: "dexycb" or "synthetic".
-        data: Description of the data: data set, objects in a scene, and substituted models.
-        setup: Official setup.
-        wait_s: Time that the receiver waits at the start (s).
-        episodes: Number of episodes.
-        success: Number of successes.
-        contact: Number of episodes with a contact of robot and hand.
-        drop: Number of drops.
-        timeout: Number of timeouts.
-        exec_s: Mean execution time of the successes (s), or None if there are no successes.
-        as_percent: Average success (AS): mean over all episodes of 1 - t / 13 s for a success at
-            time t and 0 for a failure, in percent.
-        version: Version of the library.
-        plan_s: Mean wall-clock time of the policy in successes (s), or None if it was not stored.
-        path: File with the outcome of every scene, relative to `docs/results`; empty if it was not stored.
+        report: Report on the outcomes of all scenes.
+        path: File with these outcomes, in `EPISODES`.
     """
 
-    receiver: str
-    dataset: str
-    data: str
-    setup: str
-    wait_s: float
-    episodes: int
-    success: int
-    contact: int
-    drop: int
-    timeout: int
-    exec_s: float | None
-    as_percent: float
-    version: str
-    plan_s: float | None = None
-    path: str = ""
+    report: Report
+    path: Path
 
     @property
-    def key(self) -> tuple[object, ...]:
-        """Values that identify an evaluation; one with the same key replaces it."""
-        return self.receiver, self.dataset, self.setup, self.wait_s
+    def receiver(self) -> str:
+        """Name and options of the receiver, without the waiting time and the hash of its own weights."""
+        name, _, options = re.sub("@own weights [0-9a-f]+", "", self.report.metadata.receiver).partition(":")
+        return ":".join([name, *filter(None, [re.sub(r"wait=[\d.]+,?", "", options)])])
 
     @property
     def name(self) -> str:
         """Name of the receiver, without options."""
         return self.receiver.partition(":")[0]
 
-    @cached_property
-    def report(self) -> Report:
-        """Report on the stored outcomes of all scenes; `path` must not be empty."""
-        return handover_marl.load_report(FOLDER / self.path)
+    @property
+    def setup(self) -> str:
+        """Official setup."""
+        return self.report.metadata.setup
+
+    @property
+    def wait_s(self) -> float:
+        """Time that the receiver waits at the start (s)."""
+        return float(self.report.metadata.wait_s or 0.0)
+
+    @property
+    def counts(self) -> list[int]:
+        """Numbers of successes, contacts, drops and timeouts."""
+        return [self.report.count(status) for status in EpisodeStatus if status]
+
+    @property
+    def n_episodes(self) -> int:
+        """Number of episodes."""
+        return len(self.report.episodes)
 
     @property
     def conditions(self) -> str:
         """Text with physics, giver and data, for captions of tables."""
-        return f"exact physics, giver `replay`, {self.data}"
+        return f"exact physics, giver `replay`, {self.report.data_label}"
 
 
 def read_evaluations() -> list[Evaluation]:
-    """Return all evaluations that are stored in `evaluations.json`."""
-    return [Evaluation(**entry) for entry in json.loads(EVALUATIONS.read_text())]
+    """Return all stored evaluations, in the order of their receivers in `INPUTS`."""
+    found = [Evaluation(handover_marl.load_report(path), path) for path in sorted(EPISODES.glob("*.json"))]
+    return sorted(found, key=lambda one: list(INPUTS).index(one.name))
 
 
 def measure(
@@ -193,47 +177,26 @@ def add_evaluation(folder: Path, purpose: str) -> None:
     protocol = (metadata.world, metadata.split, metadata.giver, metadata.physics, metadata.inference_time)
     if report.is_partial or protocol != (OFFICIAL_WORLD, "test", "replay", "exact", ""):
         raise SystemExit(f"{folder} must be an evaluation by the official protocol on a whole test split")
-    name, _, options = re.sub("@own weights [0-9a-f]+", "", metadata.receiver).partition(":")
-    others = ",".join(option for option in options.split(",") if not option.startswith("wait="))
-    success, contact, drop, timeout = (report.count(status) for status in EpisodeStatus if status)
-    added = Evaluation(
-        f"{name}:{others}" if others else name,
-        metadata.dataset,
-        report.data_label,
-        metadata.setup,
-        float(metadata.wait_s or 0.0),
-        len(report.episodes),
-        success,
-        contact,
-        drop,
-        timeout,
-        report.official_means["exec_s"].mean,
-        100.0 * report.average_success,
-        metadata.version,
-        report.official_means["plan_s"].mean,
-    )
+    added = Evaluation(report, folder)
     EPISODES.mkdir(exist_ok=True)
-    path = EPISODES / f"{re.sub(r'[^a-z0-9.]+', '-', '-'.join(map(str, added.key)))}.json"
-    path.write_text(format_episode_file(metadata, report.episodes))
-    rows = {one.key: one for one in read_evaluations()}
-    rows[added.key] = replace(added, path=path.relative_to(FOLDER).as_posix())
-    EVALUATIONS.write_text(f"{json.dumps(list(map(asdict, rows.values())), indent=1)}\n")
-    split = f"{added.dataset} {added.setup}"
-    line = format_csv([[split, added.version, metadata.receiver, "replay, exact", added.episodes, purpose]])
+    key = f"{added.receiver}-{metadata.dataset}-{metadata.setup}-{added.wait_s}"
+    (EPISODES / f"{re.sub(r'[^a-z0-9.]+', '-', key)}.json").write_text(format_episode_file(metadata, report.episodes))
+    split, version = f"{metadata.dataset} {metadata.setup}", metadata.version
+    line = format_csv([[split, version, metadata.receiver, "replay, exact", added.n_episodes, purpose]])
     log = TEST_USE.read_text()
     TEST_USE.write_text(log if line in log else log + line)
 
 
 def format_row(one: Evaluation) -> list[str]:
     """Return the cells of the table row, in the order of `HEADER`, of an evaluation that was made with this library."""
-    score, version = f"{one.as_percent:.1f}", one.version
-    if one.path:
-        score = f"{score} ({one.report.official_means['AS'].format_interval()})"
-        version = f"[{version} ({one.report.metadata.receiver_hash})]({one.path})"
-    rates = [format_percent_rate(getattr(one, name), one.episodes, digits=2) for name in OUTCOMES]
-    total = None if one.exec_s is None or one.plan_s is None else one.exec_s + one.plan_s
-    times = ["" if value is None else f"{value:.3f}" for value in (one.exec_s, one.plan_s, total)]
-    return [f"`{one.receiver}`", one.setup, f"{one.wait_s:g}", str(one.episodes), *rates, *times, score, version]
+    means, metadata, n = one.report.official_means, one.report.metadata, one.n_episodes
+    score = f"{100.0 * one.report.average_success:.1f} ({means['AS'].format_interval()})"
+    version = f"[{metadata.version} ({metadata.receiver_hash})]({one.path.relative_to(FOLDER).as_posix()})"
+    rates = [format_percent_rate(count, n, digits=2) for count in one.counts]
+    executed, planned = means["exec_s"].mean, means["plan_s"].mean
+    total = None if executed is None or planned is None else executed + planned
+    times = ["" if value is None else f"{value:.3f}" for value in (executed, planned, total)]
+    return [f"`{one.receiver}`", one.setup, f"{one.wait_s:g}", str(n), *rates, *times, score, version]
 
 
 def format_published_row(row: PublishedResult, setup: str, episodes: int) -> list[str]:
@@ -255,17 +218,16 @@ def select_evaluations(
     evaluations: Iterable[Evaluation], receivers: tuple[str, ...], dataset: str = "dexycb"
 ) -> list[Evaluation]:
     """Return the evaluations of receivers on one data set; exit if they differ in objects or models of the scenes."""
-    chosen = [one for one in evaluations if one.name in receivers and one.dataset == dataset]
-    if len({one.data for one in chosen}) > 1:
-        raise SystemExit(f"evaluations of {receivers} are of different data: {sorted({one.data for one in chosen})}")
+    chosen = [one for one in evaluations if one.name in receivers and one.report.metadata.dataset == dataset]
+    if len(conditions := {one.conditions for one in chosen}) > 1:
+        raise SystemExit(f"evaluations of {receivers} are of different data: {sorted(conditions)}")
     return chosen
 
 
 def make_table(evaluations: Iterable[Evaluation], receivers: tuple[str, ...], dataset: str = "dexycb") -> str:
     """Return a Markdown table of the test results of some receivers on one data set, and a line with their inputs.
 
-    On DexYCB, the table has the published results of the methods in `METHODS` of the first receiver, too. Planning and
-    total times are left out if no evaluation has them.
+    On DexYCB, the table has the published results of the methods in `METHODS` of the first receiver, too.
     """
     chosen = select_evaluations(evaluations, receivers, dataset)
     has_published, rows = dataset == "dexycb" and receivers[0] in METHODS, []
@@ -273,16 +235,13 @@ def make_table(evaluations: Iterable[Evaluation], receivers: tuple[str, ...], da
         group = [one for one in chosen if (one.setup, one.wait_s) == (setup, wait)]
         rows += [format_row(one) for one in group]
         published = list_published(receivers[0], setup) if has_published else []
-        rows += [format_published_row(row, setup, group[0].episodes) for row in published if row.wait_s == wait]
-    unknown = () if any(one.plan_s is not None for one in chosen) else ("plan s", "total s")
-    kept = [number for number, title in enumerate(HEADER) if title not in unknown]
-    table = format_table([HEADER[number] for number in kept], [[row[number] for number in kept] for row in rows])
+        rows += [format_published_row(row, setup, group[0].n_episodes) for row in published if row.wait_s == wait]
     inputs: dict[str, list[str]] = {}
     for receiver in receivers:
         inputs.setdefault(INPUTS[receiver][0], []).append(f"`{receiver}`")
     listed = "; ".join(f"{', '.join(names)}: {words}" for words, names in inputs.items())
     note = " Published rows: all objects, MANO hands." if has_published else ""
-    return f"{table}\n\n*Test splits, {chosen[0].conditions}.{note} Input of {listed}.*"
+    return f"{format_table(HEADER, rows)}\n\n*Test splits, {chosen[0].conditions}.{note} Input of {listed}.*"
 
 
 def make_summary(evaluations: Iterable[Evaluation], setup: str) -> str:
@@ -292,10 +251,10 @@ def make_summary(evaluations: Iterable[Evaluation], setup: str) -> str:
     rows = []
     for one in sorted(chosen, key=lambda one: (list(INPUTS).index(one.name), -one.wait_s)):
         cells = dict(zip(HEADER, format_row(one), strict=True))
-        failures = f"{one.contact}, {one.drop}, {one.timeout}"
+        failures = ", ".join(map(str, one.counts[1:]))
         start = [cells[title] for title in header[:3]]
-        rows.append([*start, failures, cells["AS %"], one.version, INPUTS[one.name][0]])
-    caption = f"*{setup} test, {chosen[0].episodes} episodes a row, {chosen[0].conditions}; 95 % intervals.*"
+        rows.append([*start, failures, cells["AS %"], one.report.metadata.version, INPUTS[one.name][0]])
+    caption = f"*{setup} test, {chosen[0].n_episodes} episodes a row, {chosen[0].conditions}; 95 % intervals.*"
     return f"{format_table(header, rows)}\n\n{caption}"
 
 
@@ -305,24 +264,22 @@ def make_difference_table(
     """Return a Markdown table of paired differences of receivers on DexYCB's test splits, and the commands for them.
 
     Differences are A minus B on the same scenes. A row of `pairs` has receiver A, its wait (s), receiver B and its wait
-    (s); it is left out without stored outcomes of both.
+    (s); it is left out if one of them was not evaluated.
     """
     chosen = select_evaluations(evaluations, tuple(name for pair in pairs for name in pair[::2]))
-    stored = {(one.setup, one.receiver, one.wait_s): one for one in chosen if one.path}
+    stored = {(one.setup, one.receiver, one.wait_s): one for one in chosen}
     rows, commands = [], []
     for setup, pair in itertools.product(setups, pairs):
         sides = [stored[key] for key in ((setup, *pair[:2]), (setup, *pair[2:])) if key in stored]
         if len(sides) < 2:
             continue
-        paths = [FOLDER / one.path for one in sides]
+        paths = [one.path for one in sides]
         compared = handover_marl.compare(*paths)
-        labels = [f"`{one.receiver}` ({one.wait_s:g} s, version {one.version})" for one in sides]
+        labels = [f"`{one.receiver}` ({one.wait_s:g} s, version {one.report.metadata.version})" for one in sides]
         gains = [str(row[3]) for row in compared.build_tables()[0].rows]
         rows.append([*labels, setup, str(len(compared.pairs)), *gains])
         files = [str(path.relative_to(FOLDER.parents[1])) for path in paths]
         commands.append(f"handover-marl compare {' '.join(files)}")
-    if not rows:
-        return NO_DIFFERENCES
     header = ["A (wait)", "B (wait)", "setup", "n episodes", *(f"{name}, points" for name in (*OUTCOMES, "AS"))]
     text = f"*Differences A minus B, paired by scene, with 95 % intervals: test splits, {chosen[0].conditions}.*"
     return "\n".join([format_table(header, rows), "", text, "", "```bash", *commands, "```"])
@@ -332,18 +289,18 @@ def format_success(evaluations: Iterable[Evaluation], receiver: str, setup: str,
     """Return the success rate of a receiver on a test split of DexYCB as text, with interval, episodes and version."""
     chosen = select_evaluations(evaluations, (receiver,))
     (one,) = [one for one in chosen if (one.receiver, one.setup, one.wait_s) == (receiver, setup, wait_s)]
-    rate, interval = format_percent_rate(one.success, one.episodes).split(" ", 1)
-    return f"{rate} % {interval} of {one.episodes} episodes with version {one.version}"
+    rate, interval = format_percent_rate(one.counts[0], one.n_episodes).split(" ", 1)
+    return f"{rate} % {interval} of {one.n_episodes} episodes with version {one.report.metadata.version}"
 
 
 def make_failure_list(evaluations: Iterable[Evaluation], receiver: str) -> str:
-    """Return a Markdown list of the scenes in which a receiver failed on test splits of DexYCB, where stored."""
+    """Return a Markdown list of the scenes in which a receiver failed on test splits of DexYCB."""
     lines = []
     for one in select_evaluations(evaluations, (receiver,)):
-        if one.path:
-            failed = [f"{each.scene_id} ({each.status.label})" for each in one.report.episodes if not each.success]
-            lines.append(f"- {one.setup}, wait {one.wait_s:g} s, version {one.version}: {', '.join(failed) or 'none'}")
-    return "\n".join(lines) or "The outcomes of single scenes were not stored."
+        failed = [f"{each.scene_id} ({each.status.label})" for each in one.report.episodes if not each.success]
+        version = one.report.metadata.version
+        lines.append(f"- {one.setup}, wait {one.wait_s:g} s, version {version}: {', '.join(failed) or 'none'}")
+    return "\n".join(lines)
 
 
 def format_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -377,12 +334,11 @@ def draw_figure(evaluations: list[Evaluation], path: Path) -> None:
     with mpl.rc_context({"svg.hashsalt": "results", "svg.fonttype": "none", "font.size": 9}):
         figure, axes = plt.subplots(figsize=(7.5, 4.2), layout="constrained")
         for one in own:
-            low, high = compute_wilson_interval(one.success, one.episodes)
-            rate, color, marker = 100 * one.success / one.episodes, colors[one.name], INPUTS[one.name][1]
+            low, high = compute_wilson_interval(one.counts[0], one.n_episodes)
+            rate, color, marker = 100 * one.counts[0] / one.n_episodes, colors[one.name], INPUTS[one.name][1]
             fill, errors = color if one.wait_s else "white", [[rate - 100 * low], [100 * high - rate]]
-            axes.errorbar(
-                one.as_percent, rate, errors, capsize=2, linewidth=1, marker=marker, color=color, markerfacecolor=fill
-            )
+            score = 100.0 * one.report.average_success
+            axes.errorbar(score, rate, errors, capsize=2, linewidth=1, marker=marker, color=color, markerfacecolor=fill)
         for row, receiver in [(row, receiver) for row in PUBLISHED["s0"] for receiver in METHODS]:
             if row in list_published(receiver, "s0"):
                 fill, marker = colors[receiver] if row.wait_s else "white", INPUTS[receiver][1]

@@ -27,6 +27,7 @@ from handover_marl.learning.custom_encodings import (
 )
 from handover_marl.learning.giver_schemes import DeviationScheme, HandoverPoseScheme, RawGiverScheme
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
+from handover_marl.learning.policy_spec import OBSERVATION
 from handover_marl.learning.receiver_schemes import (
     CartesianDeltaScheme,
     GraspServoScheme,
@@ -82,6 +83,13 @@ def count_outputs(agent: str, name: str) -> int:
     """Return the number of outputs that a built-in action scheme, one of `list_schemes(agent)`, decodes."""
     check_name(f"{SCHEME} of the {agent}", name, list_schemes(agent))
     return _SCHEMES[name].size
+
+
+def check_encodings(agent: str, features: FeaturesLike, scheme: SchemeLike) -> None:
+    """Check that features and action scheme exist if they are names of built-in ones."""
+    for choice, count in ((features, count_features), (scheme, count_outputs)):
+        if isinstance(choice, str) and not is_reference(choice) and choice != OBSERVATION:
+            count(agent, choice)
 
 
 def make_array_features(

@@ -17,7 +17,7 @@ from handover_marl.execution.tasks import pickle_by_value
 from handover_marl.learning.adapters.export import is_sb3_model
 from handover_marl.learning.adapters.function_policy import FunctionPolicy, TorchFunction
 from handover_marl.learning.custom_encodings import FeaturesLike, SchemeLike
-from handover_marl.learning.encodings import list_features
+from handover_marl.learning.encodings import check_encodings, list_features
 from handover_marl.learning.policy_files import complete_spec, read_policy
 from handover_marl.learning.policy_spec import OBSERVATION, RAW_ENCODINGS, DenseNetwork, PolicySpec
 from handover_marl.policies.hashing import find_package, hash_object
@@ -98,6 +98,7 @@ def _adapt(
         raise OptionError(f"name must be text that is not empty, got {name!r}")
     stem, function, spec = _read_model(agent, policy, given, obs_mode == STATE, trust)
     spec = replace(spec, obs_mode=obs_mode)
+    check_encodings(agent, spec.features, spec.actions)
     if spec.features in list_features(agent) and not has_state(obs_mode):
         raise OptionError(
             f"obs_mode must include the state that features {spec.features!r} are computed from, got {obs_mode!r}; "

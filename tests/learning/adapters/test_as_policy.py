@@ -97,6 +97,8 @@ def test_random_numbers_of_modules_come_from_the_seed() -> None:
         (lambda _: np.full(9, np.nan), {"name": "mine"}, "outputs of the receiver 'mine' must be .*component 0 is nan"),
         (stay, {"control_period": 0.0}, "control_period must be a time from 0.001 to 5 s"),
         (stay, {"features": "grasp", "obs_mode": "pointcloud"}, r"take 'state\+pointcloud'"),
+        (stay, {"features": "graps"}, "unknown features of the receiver 'graps'; .*did you mean 'grasp'"),
+        (stay, {"action_scheme": "joint"}, "unknown action scheme of the receiver 'joint'"),
         (3, {}, "policy must be a function, a PyTorch module, .*, got 3"),
         (receivers.Receiver, {}, "got the policy .*; pass it directly"),
         ("nowhere.npz", {}, "nowhere.npz: cannot read this policy file"),
