@@ -133,7 +133,7 @@ class HandGeometry:
 
 
 def _compute_reference_bones() -> Mapping[str, tuple[FloatArray, FloatArray]]:
-    """Return positions (3, 3) of the joints and ends (3, 3) of the bones (m) of the reference hand by digit."""
+    """Return, by digit, the reference hand's joints (3, 3) in parent frames and bone ends (3, 3) in own frames (m)."""
     bones = {}
     for name in DIGIT_ORDER:
         digit = _DIGITS[name]

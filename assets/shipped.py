@@ -85,8 +85,8 @@ def format_object_files(
 ) -> dict[str, bytes | str]:
     """Return the files of an object by name: meshes, colors and URDF (mass in kg), which has six base joints.
 
-    Meshes are given by vertices (v, 3) in m and faces (f, 3): those to draw, each after a color's name, and the convex
-    parts.
+    `colored` are the meshes to draw: color name, vertices (v, 3) in m and faces (f, 3). `parts` are the vertices and
+    faces of the convex parts for collisions.
     """
     names = {"visual": VISUAL_NAME, "collision": COLLISION_NAME}
     return {
@@ -116,7 +116,7 @@ def _format_visual(colored: Iterable[tuple[str, Array, Faces]]) -> str:
 
 
 def find_bullet_data(feature: str, advice: str) -> Path:
-    """Return PyBullet's folder of model files; an error names the `feature` that needs PyBullet, and adds `advice`."""
+    """Return PyBullet's folder of model files; without PyBullet, raise `OptionError` about `feature`, with `advice`."""
     require_pybullet(feature, advice)
     import pybullet_data
 

@@ -36,6 +36,9 @@ class ArrayGiver(ArrayPolicy, Giver):
         state: Arrays (n, ...) of the episodes' state by name.
         rngs: Random generator of each episode.
         arrays: Creator of the arrays.
+
+    Raises:
+        OptionError: An option does not exist, or its value is out of range.
     """
 
     config: Any = NoConfig()

@@ -20,8 +20,9 @@ from handover_marl.policies.batch import Actions
 class HandoverPoseVariation:
     """Factors by which the givers of `count` episodes scale their deviations from the recorded handover pose.
 
-    A factor, `scale` (n,), takes the values `scales` one after the other: the next if the gripper has not come nearer
-    to the object by `min_approach` (m) for `timeout` (s). The factor 0 gives the recorded pose.
+    `scale` (count,) has one factor for each episode. A factor takes the values in `scales` in turn: the next value each
+    time that the gripper has not come nearer to the object by `min_approach` (m) for `timeout` (s). The factor 0 gives
+    the recorded pose.
     """
 
     timeout = 2.0
@@ -40,7 +41,7 @@ class HandoverPoseVariation:
         self._min_distance[row], self._since[row] = math.inf, math.nan
 
     def update(self, rows: AnyIndices, observation: Observation) -> None:
-        """Change `scale` in those of the episodes `rows` (r,) in which the gripper came no nearer for `timeout`."""
+        """Change `scale` where, among the episodes `rows` (r,), the gripper came no nearer for `timeout`."""
         xp, now, distance = self._xp, widen(observation["time"][:, 0]), compute_gripper_object_distances(observation)
         since, closest = self._since[rows], self._min_distance[rows]
         nearer = xp.isnan(since) | (distance < closest - self.min_approach)

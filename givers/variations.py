@@ -307,8 +307,8 @@ class RecordingSpreadGiver(ArrayGiver):
     """Giver that deviates from its recording as other recordings of the same object do.
 
     In every episode, displacement and rotation of the handover pose and the playback speed are drawn from normal
-    distributions. Their standard deviations are those between the recordings of the object in DexYCB's s0 train split
-    (`recording_spread.json`; for other objects between all recordings). The limits of the giver's motion apply: each
+    distributions. Their standard deviations were computed from the recordings of the same object in DexYCB's s0 train
+    split (`recording_spread.json`; for other objects from all recordings). The limits of the giver's motion apply: each
     component is at most 0.3 m for the displacement and 1 rad for the rotation vector, and the motion is at most twice
     as fast as recorded.
     """

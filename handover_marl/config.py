@@ -22,6 +22,8 @@ Quaternion = tuple[float, float, float, float]
 
 #: Physics step (s). Recordings have one row per step; periods are multiples of it.
 TIME_STEP = 0.001
+#: Longest control period of an environment or a policy (s).
+MAX_CONTROL_PERIOD = 5.0
 
 PANDA_DOF = 9
 ARM_DOF = 7
@@ -327,7 +329,7 @@ class CameraConfig(CheckedConfig):
         target: Point at the image's center (m).
         up: Direction of the image's upper edge, not parallel to the viewing direction.
         link: Link of the robot on which the camera is mounted, e.g. "panda_hand"; "" for a camera that is fixed in the
-            world. Overview images have the second kind only.
+            world, which overview images need.
         name: Name of the camera, which starts the keys of its observations, e.g. "front_rgb".
         period: Time between two images (s), a whole number of milliseconds, after which an observation has a new image;
             0 for a new image in every observation.
@@ -335,11 +337,11 @@ class CameraConfig(CheckedConfig):
 
     width: int = bounded(640, 1, MAX_IMAGE_SIDE)
     height: int = bounded(480, 1, MAX_IMAGE_SIDE)
-    vertical_fov: float = bounded(54.0, 1e-3, 180.0 - 1e-3)
+    vertical_fov: float = bounded(54.0, 5.0, 175.0)  # so that radians are an error
     near: float = bounded(0.1, 1e-6)
     far: float = 10.0
-    position: Vector3 = (1.95, -0.2, 1.75)
-    target: Vector3 = (0.45, -0.2, 1.15)
+    position: Vector3 = bounded((1.95, -0.2, 1.75), -100.0, 100.0)
+    target: Vector3 = bounded((0.45, -0.2, 1.15), -100.0, 100.0)
     up: Vector3 = (0.0, 0.0, 1.0)
     link: str = ""
     name: str = "side"

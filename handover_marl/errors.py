@@ -90,7 +90,7 @@ class ActionError(HandoverError, ValueError):
 
 
 class RewardError(HandoverError, ValueError):
-    """Error for a term of a user-defined reward that is not finite, or has an unknown agent or name."""
+    """Error for a user-defined reward that fails, or a term of it that is not finite or has a wrong agent or name."""
 
 
 class EncodingError(HandoverError, ValueError):
@@ -98,7 +98,7 @@ class EncodingError(HandoverError, ValueError):
 
 
 class ResetNeededError(HandoverError, RuntimeError):
-    """Error for a call of `step`, `render` or `state` on an environment that must be reset first."""
+    """Error for a call on an environment or a policy that must be reset first, or on a closed environment."""
 
 
 class SimulationError(HandoverError, RuntimeError):
@@ -114,7 +114,7 @@ class PolicyError(HandoverError, RuntimeError):
 
 
 class ResultsError(HandoverError, ValueError):
-    """Error for a result folder that cannot be read, resumed or written."""
+    """Error for a result folder or another output file that cannot be read, resumed or written."""
 
 
 class ConformanceError(HandoverError, AssertionError):

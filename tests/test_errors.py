@@ -13,6 +13,7 @@ import pytest
 import handover_marl
 from handover_marl import givers, receivers
 from handover_marl.datasets.custom.scene_file import CustomObject
+from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.loop import call_policy
 from handover_marl.episode.spaces import check_receiver_action
 from handover_marl.errors import (
@@ -62,6 +63,19 @@ def step(actions: dict[str, Any]) -> None:
     env.step(actions)
 
 
+def make_slow(period: float) -> type[receivers.Receiver]:
+    """Return a receiver whose control period is a number of milliseconds."""
+    kind: Any = type("Slow", (receivers.make("hold").__class__,), {"control_period": period})
+    return kind
+
+
+def act_alone(observation: Any, is_reset: bool) -> None:
+    policy = receivers.make("yang2021", SyntheticDataset())
+    if is_reset:
+        policy.reset(0)
+    policy.act(observation)
+
+
 def load_stored_report() -> handover_marl.Report:
     return handover_marl.load_report(REPOSITORY / "docs/results/data/episodes/omg-dexycb-s3-3.0.json")
 
@@ -101,6 +115,24 @@ def look_up(key: str) -> None:
         (lambda columns: load_stored_report().format(columns=columns), "success", OptionError, r"pass \['success'\]"),
         (lambda time: handover_marl.EvaluationConfig(inference_time=time), 100, OptionError, "for 100 ms pass 0.1"),
         (lambda scene: make_env().dataset.load_scene(scene), "14", SceneError, "by its number, got '14'"),
+        (
+            lambda scene: make_env().reset(options={"scene_id": scene}),
+            "105",
+            SceneError,
+            "must be an integer, got '105'",
+        ),
+        (lambda fov: handover_marl.make_camera("wrist", vertical_fov=fov), 1.57, OptionError, "number from 5 to 175"),
+        (lambda x: handover_marl.CameraConfig(position=(x, 0, 0)), 1600, OptionError, "from -100 to 100, got 1600"),
+        (lambda turn: givers.make_giver_action(rotation=(0, 0, turn)), 45, ActionError, "rotation in rad"),
+        (lambda rate: givers.make_giver_action(rate=rate), np.nan, ActionError, "rate must be 1 numbers"),
+        (
+            lambda period: handover_marl.evaluate_pair("replay", make_slow(period)),
+            50,
+            OptionError,
+            "for 100 ms set 0.1",
+        ),
+        (lambda reset: act_alone({"receiver": {}}, reset), True, OptionError, r"pass observations\['receiver'\]"),
+        (lambda reset: act_alone({}, reset), False, ResetNeededError, "call reset"),
         (lambda mass: CustomObject("box", 22, mass, 0.5), "heavy", OptionError, "mass of object box must be a number"),
         (lambda number: CustomObject("box", number, 0.1, 0.5), "22", OptionError, "must be an integer, got .22"),
         (lambda name: handover_marl.benchmark(receiver=name), "cooperative", UnknownNameError, "is a giver"),
@@ -112,7 +144,7 @@ def look_up(key: str) -> None:
         (lambda options: make_env().reset(options=options), {"scene": 105}, OptionError, "'scene_id', got .'scene'"),
         (step, {"receiver": [0.0] * 9}, ActionError, "action of the giver must be 8 numbers, .* got None"),
         (lambda size: givers.make_giver_action(displacement=[0.0] * size), 2, ActionError, "displacement must be 3"),
-        (check_receiver_action, None, ActionError, "got None; pass or return one for each agent"),
+        (check_receiver_action, None, ActionError, "got None; pass numbers, of each agent"),
         (look_up, "nope", PolicyError, "KeyError: 'nope'; the observation has time"),
     ],
     ids=lambda value: str(value)[:20],

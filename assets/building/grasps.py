@@ -113,8 +113,8 @@ def make_human_grasps(
 def select_grasps(random: RandomStream, grasps: HumanGrasps, name: str, count: int) -> npt.NDArray[np.intp]:
     """Return the indices (count,) of varied and firm grasps of a YCB class, sorted by wrist distance.
 
-    The k-th grasp is the best grasp for a wrist distance that is drawn between the quantiles k/count and (k+1)/count
-    of DexYCB.
+    For each k < count, a wrist distance is drawn between the quantiles k/count and (k+1)/count of DexYCB, and the best
+    remaining grasp for this distance is selected.
     """
     shares = (np.arange(count) + random.uniforms(count)) / count
     goals = np.interp(shares, LEVELS, WRIST_DISTANCE_QUANTILES[name])
@@ -192,8 +192,8 @@ def build_grasp_validations(
 
     Args:
         out: Output file (`.npz`).
-        data_dir: Data folder in HandoverSim's layout with further objects; without it, the file's other records are
-            kept.
+        data_dir: Data folder in HandoverSim's layout, whose objects are validated too; without it, the file's other
+            records are kept.
         workers: Number of worker processes; default: one per core.
     """
     records = {} if data_dir or not out.exists() else dict(load_shipped_arrays(out))

@@ -42,7 +42,7 @@ OPTION_RULES = ConstructorRegistry()
 
 @OPTION_RULES.primitive_rule
 def make_number_option(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
-    """Return how to read a number, or one of some words; None if the option is something else."""
+    """Return the parser of an option that is a number or one of some words; None for other options."""
     types = get_args(info.type) or (info.type,)
     words = [word for part in types if get_origin(part) is Literal for word in get_args(part)]
     kinds = [part for part in types if part in (int, float)]

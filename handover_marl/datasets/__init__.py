@@ -1,4 +1,4 @@
-"""Handover scenes: DexYCB recordings in HandoverSim's folder layout, or generated ones.
+"""Handover scenes: DexYCB recordings in HandoverSim's folder layout, generated scenes, or scenes of a user's own.
 
 `open_dataset` returns a data set by name. DexYCB is imported from its authors' files by
 `handover_marl.datasets.dexycb.importer`.

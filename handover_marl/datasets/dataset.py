@@ -68,7 +68,7 @@ class SceneAssets:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Motion of one recorded handover at 1 kHz in the world frame (m, rad); arrays are read-only.
+    """Motion of one handover, recorded or generated, at 1 kHz in the world frame (m, rad); arrays are read-only.
 
     Attributes:
         info: Description of the scene.
@@ -76,8 +76,8 @@ class Scene:
         assets: URDF files of the bodies.
         object_dof: (T, n, 6) float32 position and intrinsic XYZ Euler angles of every object, the
             handed-over one first.
-        hand_dof: (T, 51) float32 position of the hand's base, its intrinsic XYZ Euler angles and 45
-            finger joint angles.
+        hand_dof: (T, 51) float32 position of the hand's base, its intrinsic XYZ Euler angles and 45 finger joint
+            angles; zero in frames without a hand.
         hand_first: First frame in which the hand is visible, or None if it never is.
         hand_last: Last frame in which the hand is visible, or None if it never is.
     """
@@ -153,11 +153,11 @@ class Dataset(ABC):
 
     @abstractmethod
     def load_info(self, scene_id: int) -> SceneInfo:
-        """Load the description of a scene by its number, without its motion."""
+        """Load the description of a scene by its number; raise `SceneError` if the scene does not exist."""
 
     @abstractmethod
     def load_scene(self, scene_id: int) -> Scene:
-        """Load a scene by its number, with its motion."""
+        """Load a scene with its motion by its number; raise `SceneError` if the scene does not exist."""
 
     def load_grasps(self, object_name: str) -> npt.NDArray[np.float64] | None:
         """Load the robot grasps of an object class, e.g. "025_mug", by default the library's.

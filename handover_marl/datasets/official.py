@@ -62,7 +62,7 @@ def _read_scene_info(path: Path, scene_id: int) -> tuple[SceneInfo, list[int]]:
 
 
 def read_motion(path: Path, shapes: Mapping[str, tuple[int, ...]], advice: str) -> list[npt.NDArray[np.float32]]:
-    """Read a scene's motion at 1 kHz: arrays (T, *shape) of one length from an `.npz` file, by name and shape."""
+    """Read float32 arrays (T, *shape) of T frames each from a motion file (`.npz`); `shapes` has the shapes by name."""
     with report_damage(path, "pose file", advice):
         arrays = [array.astype(np.float32) for array in read_arrays(path, tuple(shapes), MAX_MOTION_BYTES).values()]
         n_frames = len(arrays[0])
@@ -73,7 +73,7 @@ def read_motion(path: Path, shapes: Mapping[str, tuple[int, ...]], advice: str) 
 
 
 def check_scene_meta(path: Path, ids: list[int], grasped: int, sides: list[Any]) -> None:
-    """Check the objects and the hand in a meta file, whose path is for errors.
+    """Check the objects and the hand in a meta file; raise `DataFormatError`, which names `path`, for a fault.
 
     `ids` are class numbers, `grasped` is the index of the handed-over object; `sides` must be ["right"] or ["left"].
     """
@@ -112,7 +112,7 @@ def check_grasps(grasps: npt.NDArray[np.floating]) -> npt.NDArray[np.float64]:
 
 
 class OfficialDataset(Dataset):
-    """DexYCB scenes of a data folder in HandoverSim's layout.
+    """DexYCB scenes of a data folder in HandoverSim's layout; a missing folder raises `DataNotFoundError`.
 
     Args:
         data_dir: Folder with `dex-ycb-cache/` and `assets/`.
@@ -198,7 +198,7 @@ class OfficialDataset(Dataset):
         return digest.hexdigest()[:16]
 
     def describe_models(self, scene_id: int) -> str:
-        """Return a note on models, e.g. "MANO hand, stand-in grasps": kind of hand, and files of other origin."""
+        """Return a note, e.g. "MANO hand, stand-in grasps": kind of hand, and model files that are not original."""
         info = self.load_info(scene_id)
         parts = [self._origin(f"{name}/model_normalized_convex.obj") for name in info.object_names]
         hand = self._hand_origin(f"{info.subject}_{info.side}")

@@ -97,7 +97,7 @@ _FILE_ADVICE = "list what is missing with handover-marl doctor, and copy or expa
 
 
 def require_file(path: Path, advice: str = _FILE_ADVICE) -> Path:
-    """Return a path if it is a readable plain file, else raise an error that ends with `advice`."""
+    """Return `path` if it is a readable file; else raise `DataNotFoundError` or `DataFormatError`, with `advice`."""
     with report_damage(path, "file", advice):
         check_plain_file(path)
     return path

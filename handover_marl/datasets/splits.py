@@ -45,7 +45,7 @@ _FILTERS: dict[tuple[str, str], dict[str, Collection[object]]] = {
 
 
 def list_split_scenes(setup: str, split: str, find_side: Callable[[int], str]) -> tuple[int, ...]:
-    """Return the scene numbers of a split in ascending order; positions are the indices in official result files.
+    """Return a split's scene numbers in ascending order; a scene's position is its index in official result files.
 
     The setups are "s0" (no held-out factor), "s1" (unseen subjects), "s2" (unseen handedness), "s3" (unseen objects).
     `find_side` returns the hand of a scene, "right" or "left"; it is only called for trial 4 of s2.
@@ -70,9 +70,9 @@ def get_prescribed_side(scene: int) -> Literal["left", "right"] | None:
 
 
 def choose_scenes(split_ids: tuple[int, ...], scenes: Iterable[int] | None, where: str) -> tuple[int, ...]:
-    """Return the chosen `scenes` (None for all) among the numbers of a split, in ascending order without repetitions.
+    """Return `scenes` in ascending order without repetitions, or all numbers `split_ids` of a split if it is None.
 
-    `where` is the name of the split, for errors.
+    Raise `SceneError`, which names the split by `where`, if a scene is not in the split or there is no scene.
     """
     if not split_ids:
         raise SceneError(f"{where} has no scenes; choose another split, or a data set with more scenes")
@@ -95,7 +95,7 @@ def choose_scenes(split_ids: tuple[int, ...], scenes: Iterable[int] | None, wher
 
 
 def select_scenes_evenly(scene_ids: Sequence[int], n: int) -> tuple[int, ...]:
-    """Return at most n of the scene numbers of a split, evenly spaced over their order."""
+    """Return at most n of a split's scene numbers, evenly spaced over their order; raise `OptionError` if n < 1."""
     if isinstance(n, bool) or not isinstance(n, int) or n < 1:
         raise OptionError(f"number of scenes must be a whole number of at least 1, got {shorten_text(n)}")
     chosen = np.unique(np.linspace(0, len(scene_ids) - 1, min(n, len(scene_ids))).round().astype(int))

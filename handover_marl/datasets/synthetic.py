@@ -36,7 +36,7 @@ class SyntheticDataset(HandoverGenerator):
         return _generate_scene(scene_id)
 
     def find_side(self, scene_id: int) -> str:
-        """Return the hand of a scene's giver without generating the scene."""
+        """Return the hand of a scene's giver, "right" or "left", without generating the scene."""
         self.check_scene_id(scene_id)
         return _find_side(scene_id)
 

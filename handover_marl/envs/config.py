@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from handover_marl.config import TIME_STEP, CameraConfig, WorldConfig, check_config
+from handover_marl.config import MAX_CONTROL_PERIOD, TIME_STEP, CameraConfig, WorldConfig, check_config
 from handover_marl.envs.custom_rewards import RewardLike, resolve_rewards
 from handover_marl.episode.episode import SceneConfig
 from handover_marl.episode.spaces import STATE, has_camera
@@ -17,13 +17,11 @@ from handover_marl.simulation.camera.renderers import check_rendering, resolve_r
 from handover_marl.simulation.engines import check_physics
 
 RENDER_MODES = ("human", "rgb_array")
-# Longest control period of an environment (ms); a larger value was probably meant in ms and not in s.
-_MAX_PERIOD_MS = 5000
 
 
 @dataclass(frozen=True)
 class EnvConfig(SceneConfig):
-    """Configuration of the handover environment, shared by all its constructors.
+    """Configuration of the handover environment, shared by all its constructors; adds fields to `SceneConfig`.
 
     Attributes:
         split: Split of the setup: train, val or test.
@@ -76,7 +74,7 @@ class EnvConfig(SceneConfig):
 
 
 def make_env_config(config: EnvConfig | None, fields: Mapping[str, Any]) -> EnvConfig:
-    """Return `config`, or make a configuration from `fields` if it is None; else `fields` must be empty."""
+    """Return `config`, or a configuration made of `fields` if it is None; raise OptionError if both are given."""
     if config is None:
         return EnvConfig(**fields)
     if not isinstance(config, EnvConfig):
@@ -89,9 +87,9 @@ def make_env_config(config: EnvConfig | None, fields: Mapping[str, Any]) -> EnvC
 def _count_physics_steps(control_period: float) -> int:
     is_number = isinstance(control_period, (int, float, np.floating)) and not isinstance(control_period, bool)
     steps = round(control_period / TIME_STEP) if is_number and math.isfinite(control_period) else 0
-    if steps > _MAX_PERIOD_MS:
+    if steps * TIME_STEP > MAX_CONTROL_PERIOD:
         raise OptionError(
-            f"control_period must be at most {_MAX_PERIOD_MS / 1000:g} s, got {control_period!r}; for 100 ms pass 0.1"
+            f"control_period must be at most {MAX_CONTROL_PERIOD:g} s, got {control_period!r}; for 100 ms pass 0.1"
         )
     if steps < 1 or abs(steps * TIME_STEP - control_period) > 1e-9:
         raise OptionError(

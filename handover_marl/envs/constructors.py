@@ -46,7 +46,7 @@ def single_agent_env(
             person.
         partner: Policy of the other agent, which is not controlled from outside; default: "replay" for
             a giver, "yang2021" for a receiver.
-        trust: Whether a policy file may run code.
+        trust: Whether modules that a policy file or a population names may be imported.
         config: Configuration; default: one made of `fields`.
         fields: Fields of `handover_marl.envs.config.EnvConfig`, in place of `config`.
     """

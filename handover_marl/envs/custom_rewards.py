@@ -111,8 +111,8 @@ def set_discount(rewards: RewardLike, discount: float) -> Any:
 class RewardSource:
     """Source of both agents' reward terms in n episodes; the terms of an agent must have different names.
 
-    The argument `rows` (r,) of methods has indices of episodes. Each episode gets a deep copy of a user-defined reward,
-    or an instance of its own if that is a class, so that episodes share no attributes.
+    The argument `rows` (r,) of methods has the indices of episodes. A user-defined reward is copied deeply for each
+    episode, and a reward class is instantiated once for each, so that episodes share no attributes.
 
     Args:
         rewards: Any value that `rewards` accepts.
@@ -155,7 +155,7 @@ class RewardSource:
 
 
 def _list_parts(rewards: RewardLike, weight: float = 1.0) -> list[tuple[float, Any]]:
-    """Return pairs of weight and `RewardWeights` or function, of which rewards are the weighted sum."""
+    """Return pairs (weight, reward) whose weighted sum is `rewards`; combinations are resolved into their parts."""
     found = resolve_rewards(rewards)
     if not isinstance(found, CombinedRewards):
         return [(weight, found)]
@@ -163,10 +163,10 @@ def _list_parts(rewards: RewardLike, weight: float = 1.0) -> list[tuple[float, A
 
 
 class CustomRewardSource:
-    """Source of the terms of a user-defined reward function; checks the names and values of the terms.
+    """Source of the terms of a user-defined reward; raises RewardError for wrong names or values of terms.
 
-    There is a function of a transition for each episode; its method `reset(transition)`, if it has one, is called at
-    the start of an episode.
+    `functions` has one function of a transition for each episode. If a function has a method `reset(transition)`, the
+    method is called at the start of the episode.
     """
 
     def __init__(self, functions: Sequence[CustomReward], arrays: ArrayFactory) -> None:

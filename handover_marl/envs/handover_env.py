@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium import spaces
+from gymnasium import logger, spaces
 from gymnasium.utils import EzPickle, seeding
 from pettingzoo import ParallelEnv
 
@@ -101,7 +101,8 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         config: Configuration, with the resolved setup.
         dataset: Dataset of the scenes.
         scene_ids: Numbers of the scenes that `reset` draws from, ascending.
-        calibration: Matrices in the receiver's infos, by key.
+        calibration: Camera matrices in the receiver's infos, by key; empty if it observes no camera.
+        state_space: Space of the vector that `state` returns, a `gymnasium.spaces.Box`.
         np_random: Random generator from which `reset` draws scenes.
 
     Raises:
@@ -281,6 +282,8 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
 
         In the mode "human", PyBullet draws its window without calls of `render`.
         """
+        if self.render_mode is None:
+            logger.warn("render() returns no image without a render_mode; pass render_mode='rgb_array'")
         if self.render_mode != "rgb_array":
             return None
         return self._episode.render(self.config.camera or CameraConfig())
@@ -309,7 +312,8 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         """Return the scene number that the options of `reset` choose; without a choice, draw one from `rng`.
 
         Raises:
-            OptionError: The options are no mapping, or have a key with "scene" in it other than `scene_id`.
+            OptionError: The options are no mapping, or have a key with "scene" in it other than `scene_id`; other
+                unknown keys only give a warning.
             SceneError: The scene is not in the split.
         """
         if not isinstance(options or {}, Mapping):
@@ -325,7 +329,9 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
             warnings.warn(f"unknown options of reset(): {', '.join(map(str, chosen))}; valid: scene_id", stacklevel=3)
         if scene_id is None:
             return int(rng.choice(self.scene_ids))
-        if not isinstance(scene_id, (int, np.integer)) or scene_id not in self.scene_ids:
+        if not isinstance(scene_id, (int, np.integer)):
+            raise SceneError(f"scene_id must be an integer, got {scene_id!r}; pass the number of a scene")
+        if scene_id not in self.scene_ids:
             raise SceneError(
                 f"scene_id must be in env.scene_ids, the {len(self.scene_ids)} scenes of {self.config.setup} "
                 f"{self.config.split}, got {scene_id!r}; choose another scene, or the setup and split that have it"

@@ -57,7 +57,7 @@ class Steps:
     Attributes:
         states: Stored states (r, 4, 19) after the last four steps, the newest last; NaN before the start of an episode.
             The columns are those of `WeightedRewardSource._summarize`.
-        state: Whole state after the step, the arrays that `StepData.read_state` returns.
+        state: Whole state after the step, the arrays that `StepData.read_state` returns; {} if no term needs them.
         status: Bits (r,) of `EpisodeStatus` after the step.
         goal: (3,) position to which the gripper must bring the object, world frame (m).
         gamma: Discount factor of the shaping terms.
@@ -148,7 +148,7 @@ def compute_clearance(steps: Steps) -> AnyArray:
 
 
 def compute_hand_distances(state: Mapping[str, AnyArray]) -> AnyArray:
-    """Return the distances (r,) in m of the open gripper's boxes and the nearest hand joint in a state of `Steps`."""
+    """Return (r,) the distance (m) of the open gripper's boxes from the nearest hand joint, in a `state` of `Steps`."""
     points = inverse_transform_points(state["gripper_pose"][:, None], state["hand_keypoints"])
     xp, points, centers, halves = as_arrays(points, GRIPPER_BOX_CENTERS, GRIPPER_BOX_HALF_SIZES)
     return xp.min(compute_box_distances(points[:, :, None] - centers, halves), axis=(1, 2)).clip(0.0)
@@ -236,9 +236,9 @@ class StepData:
 
     Attributes:
         status: Bits (r,) of `EpisodeStatus`.
-        read_state: Function that takes whether forces are needed, and returns arrays (r, ...): the giver's observation,
-            `grasped` (r,), whether both fingers of the robot touch the object, and `robot_object_force` and
-            `robot_hand_force` (r,), the normal forces between robot and object, and between robot and human hand (N).
+        read_state: Function that takes whether forces are needed, and returns arrays (r, ...) by key: the full state;
+            the giver's `deviation` and `holding`; `grasped` (r,), whether both fingers of the robot touch the object;
+            and, if needed, `robot_object_force` and `robot_hand_force` (r,), sums of the robot's normal forces (N).
         read_transitions: Function that returns the r transitions.
     """
 
@@ -278,7 +278,7 @@ class WeightedRewardSource:
         return {agent: {name: own[name] * values[name] for name in own} for agent, own in self._weights.items()}
 
     def _summarize(self, state: Mapping[str, AnyArray]) -> AnyArray:
-        """Return the stored states (r, 19) of `Steps.states`, float64.
+        """Convert a state, as `StepData.read_state` returns it, to the form (r, 19) of `Steps.states`, float64.
 
         Columns: time (s), gripper pose (7), object position (3), whether the object is grasped, wrist position (3), its
         displacement from the recording (3), and whether the object is held out.

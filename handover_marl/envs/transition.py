@@ -30,8 +30,8 @@ class Transition:
         next_observations: Observation after the step, by agent.
         actions: Action by agent at the start of the step: giver (8,), clipped to its bounds; receiver (9,)
             target joint positions (rad, m); float32. A fixed partner may act again within the step.
-        infos: Infos after the step by agent, without reward terms: `scene_id`, `status`, `steps`
-            (physics steps of 1 ms), `release_step` and `release_reason`.
+        infos: Infos after the step by agent, without reward terms: `scene_id`, `status`, `steps` (physics steps of
+            1 ms), `release_step` and `release_reason`; for a receiver with cameras also their matrices.
         contacts: Contacts of robot, object and human hand in the last physics step (1 ms) of the
             control step; forces in N.
         status: Status of the episode after the step, e.g. `EpisodeStatus.SUCCESS`; `RUNNING` (no bit)

@@ -56,7 +56,7 @@ _NOISE_STREAM = 2
 
 
 class _ImageContent(IntEnum):
-    """Bodies in a rendered image: target object and hand; all objects and hand; all bodies; all with colours."""
+    """Content of an image: target object and hand; all objects and hand; all bodies; all bodies with colours."""
 
     TARGETS = 0
     OBJECTS = 1
@@ -123,7 +123,7 @@ def _make_spaces(obs_mode: str, camera: CameraConfig) -> dict[str, spaces.Space[
 
 
 def resolve_cameras(cameras: Iterable[str | CameraConfig]) -> tuple[CameraConfig, ...]:
-    """Return the configurations of cameras that may be names, e.g. "wrist"."""
+    """Return the configurations of cameras given by name, e.g. "wrist", or as such; equal names raise `OptionError`."""
     if isinstance(cameras, str) or not isinstance(cameras, Iterable):
         raise OptionError(
             f'cameras must be a tuple of names and CameraConfigs, got {cameras!r}; e.g. ("wrist", "front")'
@@ -217,9 +217,10 @@ class CameraCapture:
 
 
 class CameraSensor:
-    """One camera of a simulated world; an image is rendered on request, at most once a step.
+    """One camera of a simulated world; images are rendered on request, and reused within a step if they show enough.
 
-    Random draws depend on the seed, the number of simulated steps and the image only, not on earlier images.
+    Draws of noise and points depend on the seed, the number of simulated steps and the image only; draws of the camera
+    depend on the seed, the scene and the camera's name. None depends on earlier images.
 
     Args:
         config: Configuration of the cameras.
@@ -228,7 +229,7 @@ class CameraSensor:
         name: Name of the camera, one of `config`.
 
     Attributes:
-        has_latency: Whether `record_snapshot` must be called every step, because images arrive late or at a period.
+        has_latency: Whether images arrive late or at a period, so that `record_snapshot` must be called in every step.
     """
 
     def __init__(self, config: SensorConfig, physics: str, physics_config: PhysicsConfig, name: str = "wrist") -> None:
@@ -332,7 +333,7 @@ class CameraSensor:
         return moved
 
     def _get_image(self, world: World, steps: int, content: _ImageContent) -> CameraImage:
-        """Return the image after `steps` physics steps with at least the given content; a rendered image is reused."""
+        """Return an image after `steps` physics steps with at least a content; reuse the last image if it suffices."""
         if self._last is not None and self._last[0] == steps and self._last[1] >= content:
             return self._last[2]
         camera, noise, _ = drawn = self._draw_camera()

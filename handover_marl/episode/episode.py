@@ -242,12 +242,12 @@ class Episode:
         return {**state, **{key: values[0] for key, values in own.items()}}
 
     def seed_camera(self, seed: int) -> None:
-        """Seed the random draws of the cameras (noise and subsampling of point clouds)."""
+        """Seed the random draws of the cameras: randomization, noise, and subsampling of point clouds."""
         for sensor in self._sensors.values():
             sensor.seed(seed)
 
     def capture_wrist_camera(self) -> CameraCapture:
-        """Return depth, segmentation, colours and point clouds of the wrist camera at the current step."""
+        """Return images and point clouds of the wrist camera, late if it has latency; see `CameraSensor.capture`."""
         check_name("camera", "wrist", self._sensors)
         return self._sensors["wrist"].capture(self.world, self.steps)
 
@@ -266,14 +266,14 @@ class Episode:
 
     @property
     def world(self) -> World:
-        """Simulated world of the running episode."""
+        """Simulated world of the running episode; raises `ResetNeededError` before `reset`."""
         if self._world is None or self._scene is None:
             raise ResetNeededError("no episode is running; call reset() first")
         return self._world
 
     @property
     def scene(self) -> Scene:
-        """Scene of the running episode."""
+        """Scene of the running episode; raises `ResetNeededError` before `reset`."""
         if self._scene is None:
             raise ResetNeededError("no episode is running; call reset() first")
         return self._scene

@@ -42,7 +42,7 @@ _HALF = OBJECT_DOF // 2
 class NumpyRecordings:
     """Recordings of n givers as NumPy arrays, which are read from the scenes.
 
-    The argument `rows` (r,) of methods has indices of givers, and `frames` (r, k) recorded frames.
+    The argument `rows` (r,) of methods has indices of givers, and `frames` (r, k) numbers of recorded frames.
 
     Args:
         count: Number n of givers.
@@ -127,8 +127,8 @@ class GiverState(NamedTuple):
         offset: Displacement (m) and rotation vector (rad) of the wrist, (..., 2, 3).
         velocity: Velocity of this offset (m/s, rad/s), (..., 2, 3).
         has_deviated: Whether the wrist has ever had an offset.
-        angles: Euler angles (rad, intrinsic XYZ) of hand base and object, (..., 2, 3). Of all equivalent angles of the
-            next step, those nearest to them are used, so that no angle jumps.
+        angles: Euler angles (rad, intrinsic XYZ) of hand base and object, (..., 2, 3). The next step uses the
+            equivalent angles that are nearest to these, so that no angle jumps.
     """
 
     clock: AnyArray
@@ -348,7 +348,7 @@ def _is_any_set(flags: AnyArray) -> bool:
 
 
 def requests_release(giver_actions: AnyArray) -> AnyArray:
-    """Return for each action (..., 8) of givers whether it requests the release of the object."""
+    """Return a mask (...) of the givers' actions (..., 8) that request the release of the object."""
     return giver_actions[..., 7] > 0.5
 
 

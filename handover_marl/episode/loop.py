@@ -56,7 +56,7 @@ class EpisodeCallback:
         """Handle the start of an episode; the base class does nothing."""
 
     def on_decision(self, episode: Episode, decision: PolicyDecision) -> None:
-        """Handle the actions after each decision of a policy, before the simulation applies them."""
+        """Handle the actions for the next steps, whenever a policy has decided or a delayed action takes effect."""
 
     def on_step(self, episode: Episode) -> None:
         """Handle a physics step, after the referee has updated the episode's status."""
@@ -121,7 +121,7 @@ class EpisodePolicy(Protocol):
 
 
 def start_policy(policy: EpisodePolicy, seed: int | None, object_names: Sequence[str] = ()) -> None:
-    """Prepare a policy for an episode and start it.
+    """Prepare a policy for an episode and start it; errors of its code become `PolicyError`.
 
     Args:
         policy: Policy to start.
@@ -134,7 +134,7 @@ def start_policy(policy: EpisodePolicy, seed: int | None, object_names: Sequence
 
 
 def call_policy(policy: EpisodePolicy, observation: Observation, step: int) -> tuple[Action, int]:
-    """Return the action of a policy, and the physics step up to which it is held.
+    """Return a policy's action, and the physics step up to which it is held; errors of its code become `PolicyError`.
 
     Args:
         policy: Policy to call.
@@ -159,7 +159,7 @@ def _name_policy(policy: EpisodePolicy, when: str, observation: Observation | No
 
 
 def steps_from_hold_time(hold_time: float) -> int:
-    """Convert the time (s) up to a policy's next decision to physics steps of 1 ms: rounded, from 1 to 10^12."""
+    """Convert a hold time (s) to 1 to 10^12 physics steps of 1 ms; raise `OptionError` if it is not positive."""
     if isinstance(hold_time, (bool, str)) or not isinstance(hold_time, (int, float, np.number)) or not hold_time > 0:
         raise OptionError(f"hold_time must be a positive number (s), got {hold_time!r}")
     return max(1, round(min(hold_time, _LONGEST_HOLD) / TIME_STEP))

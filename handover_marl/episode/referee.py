@@ -213,7 +213,7 @@ def judge_steps(
     The states are the same as with `Referee.update` after every step, but there is no loop over steps.
 
     Args:
-        before: Referee states before these steps, arrays or tensors; all episodes are running.
+        before: Referee states before these steps, arrays or tensors; results are valid for running episodes only.
         contacts: Contacts of the steps. Steps after a release or an episode's end are ignored.
         config: Thresholds of the protocol's rules.
 

@@ -23,7 +23,7 @@ GIVER_ACTION_SIZE = 8
 
 
 def parse_obs_mode(obs_mode: str) -> frozenset[str]:
-    """Return the parts of an observation mode: "state+rgbd" has "state", "rgb" and "depth"."""
+    """Return a mode's parts, e.g. "state", "rgb", "depth" of "state+rgbd"; raise `UnknownNameError` for others."""
     if not isinstance(obs_mode, str):
         raise UnknownNameError("part of obs_mode", obs_mode, OBS_PARTS, _JOIN_PARTS)
     parts = frozenset(obs_mode.split("+"))
@@ -72,20 +72,20 @@ def giver_action_space(config: GiverConfig = OFFICIAL_CONFIG.giver) -> spaces.Bo
 
 
 def check_receiver_action(action: object) -> npt.NDArray[np.float32]:
-    """Check a receiver's action and return it as a float32 array (9,)."""
+    """Return a receiver's action as float32 (9,); raise `ActionError` if it does not have nine finite numbers."""
     return check_vector(
         "action of the receiver", action, PANDA_DOF, "target joint positions: 7 arm (rad), 2 fingers (m)"
     )
 
 
 def check_giver_action(action: object, space: spaces.Box) -> npt.NDArray[np.float32]:
-    """Check a giver's action; return it as float32 (8,), clipped to the bounds of the giver's action space `space`."""
+    """Return a giver's action as float32 (8,), clipped to the bounds of `space`; raise `ActionError` if invalid."""
     values = check_vector("action of the giver", action, GIVER_ACTION_SIZE, "the deviation from the recording")
     return np.clip(values, space.low, space.high)
 
 
 def check_vector(name: str, values: object, size: int, meaning: str) -> npt.NDArray[np.float32]:
-    """Check numbers and return them as a float32 vector (size,).
+    """Return numbers as a float32 vector (size,); raise `ActionError` if they are not `size` finite numbers.
 
     Args:
         name: Name of the values, for error messages.
@@ -97,7 +97,7 @@ def check_vector(name: str, values: object, size: int, meaning: str) -> npt.NDAr
     if vector is not None and vector.shape == (size,) and np.isfinite(vector).all():
         return vector
     if vector is None:
-        problem = "got None; pass or return one for each agent" if values is None else f"got {type(values).__name__}"
+        problem = "got None; pass numbers, of each agent" if values is None else f"got {type(values).__name__}"
         if hasattr(values, "detach"):
             problem += " with a gradient or on a GPU; pass tensor.detach().cpu()"
     elif vector.shape != (size,):

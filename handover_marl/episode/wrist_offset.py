@@ -80,8 +80,8 @@ def move_with_wrists(bodies: AnyArray, offsets: AnyArray, wrists_in_base: AnyArr
             (rad), float32.
         offsets: Displacements (m) and rotation vectors (rad) of each wrist, (d, k, 2, 3).
         wrists_in_base: (d, 3) positions of the wrists in the frames of the hands' bases (m).
-        previous: (d, 2, 3) Euler angles of base and object before the first step, from which they continue without a
-            jump.
+        previous: (d, 2, 3) Euler angles of base and object before the first step; the moved angles continue from
+            these without a jump.
 
     Returns:
         Moved joint positions (d, k, 2, 6), float32.
@@ -107,7 +107,7 @@ def move_with_wrists(bodies: AnyArray, offsets: AnyArray, wrists_in_base: AnyArr
 
 
 def _continue_euler(angles: AnyArray, previous: AnyArray) -> AnyArray:
-    """Return Euler angles (m, k, 3) of the same rotations as m sequences of angles that continue without a jump.
+    """Replace m sequences of Euler angles by equivalent ones (m, k, 3) that continue without a jump.
 
     Of all Euler angles that describe a rotation, those nearest to the angles of the step before are chosen, by the sum
     of absolute differences.

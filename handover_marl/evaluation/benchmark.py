@@ -117,8 +117,8 @@ def run_evaluations(
 ) -> list[Report]:
     """Evaluate several configurations in the same worker processes; return one report for each.
 
-    Everything is checked, and all folders are prepared, before the first scene. Scenes with a result are not simulated.
-    Errors are those of `benchmark`.
+    Everything is checked, and all folders are prepared, before the first scene. Scenes with a result and all requested
+    recordings are not simulated again. Reports are written to the folders. Errors are those of `benchmark`.
 
     Args:
         parts: For each evaluation the subfolder of the output folder, "" for the folder itself, and the configuration.
@@ -190,8 +190,8 @@ def _prepare(
 def select_shard(shard: str, scenes: Sequence[int]) -> tuple[int, ...]:
     """Return the scenes of a shard such as "3/16", the third of 16, in the given order.
 
-    Scenes are distributed in a fixed pseudo-random order, so that objects, people and their right and left hands are
-    as mixed in every shard as in the whole; the sizes of two shards differ by one scene at most.
+    Scenes are distributed in a fixed pseudo-random order, so that objects, people and hands are mixed in every shard
+    about as in the whole; the sizes of two shards differ by one scene at most. A wrong shard raises `OptionError`.
     """
     match = _SHARD.fullmatch(shard) if isinstance(shard, str) else None
     if match is None or not 1 <= int(match[1]) <= int(match[2]):

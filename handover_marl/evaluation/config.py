@@ -88,7 +88,7 @@ class ExecutionConfig(PoolConfig):
         shard: Part of the scenes to evaluate, e.g. 3/16 for the third of 16; `merge` combines the parts' folders.
         out: Folder for results and reports; an interrupted evaluation resumes there.
         progress: Show a progress bar on stderr.
-        trust: Run code in policy files (learned:FILE), and import modules that policy files or a population name.
+        trust: Import modules that policy files (learned:FILE) or a population name.
         overwrite: Delete the results in the output folder instead of resuming.
         replays: Episodes with a 3D replay page: none, failed or all. Finished episodes without a page are simulated
             again, and must end with the same outcome.
@@ -142,7 +142,7 @@ def build_configs(
 def resolve_config(config: EvaluationConfig, trust: bool = False) -> tuple[EvaluationConfig, Dataset]:
     """Check a configuration; return it with its setup, scenes and `PolicyReference`s filled in, and its dataset.
 
-    With `trust`, policy files may run code.
+    With `trust`, modules that policy files name may be imported.
     """
     check_name("split", config.split, SPLITS)
     check_physics(config.physics)
@@ -170,13 +170,13 @@ def format_inference_time(inference_time: InferenceTime | str) -> str:
 
 
 def set_dataset(config: EvaluationConfig, dataset: Dataset) -> EvaluationConfig:
-    """Return a copy of a configuration with the name and the folder of a given dataset."""
+    """Return a copy of a configuration with the name of a given dataset, and its folder if it has one."""
     folder = dataset.source_folder
     return replace(config, dataset=dataset.name, data_dir=config.data_dir if folder is None else str(folder))
 
 
 def require_policy_reference(policy: PolicyLike) -> PolicyReference:
-    """Return a policy of a configuration if it is a `PolicyReference`, as it is after `resolve_config`."""
+    """Return a policy of a resolved configuration, a `PolicyReference`; raise TypeError for another value."""
     if not isinstance(policy, PolicyReference):
         raise TypeError("the configuration is not resolved; call resolve_config() first")
     return policy

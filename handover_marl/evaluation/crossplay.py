@@ -217,7 +217,7 @@ def resolve_policies(
 ) -> list[PolicyReference]:
     """Return references of the policies of one agent, without duplicates, in the given order.
 
-    With `trust`, policy files may run code.
+    With `trust`, modules that policy files name may be imported.
     """
     requested: Any = [policies] if isinstance(policies, (str, type, Policy, PolicyReference)) else policies
     if not isinstance(requested, Sequence) or not requested:

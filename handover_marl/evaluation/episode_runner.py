@@ -30,7 +30,7 @@ from handover_marl.policies.reference import PolicyBundle
 
 @dataclass(frozen=True)
 class SceneTask:
-    """Task of a worker: one scene to simulate, `index` is its position in the split.
+    """Task of a worker: simulate the scene with the number `scene_id`, at the position `index` of the split.
 
     The `fingerprint` is the hash of the scene's data on the main machine; an empty one is not compared.
     """

@@ -158,7 +158,7 @@ def format_config(metadata: ResultMetadata, config: WorldConfig = OFFICIAL_CONFI
 
 
 def read_result_metadata(path: Path) -> ResultMetadata:
-    """Read the identity of a result folder, of this library or of HandoverSim."""
+    """Read the identity of a result folder, of this library or of HandoverSim; raise ResultsError if that fails."""
     config_path, content = path / CONFIG_FILE, _read_yaml(path)
     try:
         benchmark, library = content["BENCHMARK"], content.get(_LIBRARY_SECTION)
@@ -181,7 +181,7 @@ def read_result_metadata(path: Path) -> ResultMetadata:
 
 
 def check_metadata(metadata: ResultMetadata, path: Path) -> None:
-    """Check the identity of an evaluation that was read from the file `path`, which errors name."""
+    """Check that an identity from the file `path` has known choices and printable texts, or raise ResultsError."""
     for key, value in asdict(metadata).items():
         # Control characters could change a terminal that prints the report.
         if not isinstance(value, str) or not value.isprintable():
@@ -217,6 +217,8 @@ def _read_yaml(folder: Path) -> dict[str, Any]:
     except (FileNotFoundError, NotADirectoryError) as error:
         if not folder.exists():
             raise ResultsError(f"result folder {folder} does not exist") from error
+        if folder.is_file():
+            raise ResultsError(f"{folder} is a file; pass the result folder that has it") from error
         parts = sorted(path.parent.name for path in folder.glob(f"*/{CONFIG_FILE}"))
         advice = f"; pass one of its folders {shorten_text(', '.join(parts))}" if parts else ""
         raise ResultsError(f"{folder} is no result folder: it has no {CONFIG_FILE}{advice}") from error

@@ -79,7 +79,7 @@ class EpisodeResult:
         fluency: Metrics beyond the official ones, or None if unknown.
         late_s: Simulated time that passed during decisions of the receiver (s); None without inference time.
         early_grab: Whether the fingers began to close before the person's offer, see `has_early_grab`; None without
-            inference time.
+            inference time, if the fingers do not close, or if no hand moves.
     """
 
     index: int
@@ -190,8 +190,8 @@ def find_recordings(folder: Path) -> list[Path]:
 class ResultFolder(EpisodeWriter):
     """Result folder of one evaluation, and the writer of its official result files; created if missing.
 
-    The `config` is the content of its `config.yaml`, by default that for the official world and rules. With
-    `overwrite`, the results of an earlier evaluation are deleted first.
+    The `config` is the content of its `config.yaml`, by default that for the official world and rules. Results of
+    another evaluation in the folder raise `ResultsError`; with `overwrite`, earlier results are deleted first.
     """
 
     def __init__(self, path: Path, metadata: ResultMetadata, config: str = "", overwrite: bool = False) -> None:
@@ -260,7 +260,7 @@ def encode_result(
 
 
 def read_results(path: Path, allow_empty: bool = False) -> list[EpisodeResult]:
-    """Read all results of a folder, ordered by index."""
+    """Read all results of a folder, ordered by index; raise ResultsError if there are none, unless `allow_empty`."""
     files = find_numbered(path, ".npz").values()
     if not files and not allow_empty:
         raise ResultsError(f"{path} has no result files (000.npz, 001.npz, ...)")
@@ -367,8 +367,8 @@ def read_episode_file(path: Path) -> tuple[ResultMetadata, list[EpisodeResult]]:
         if (path.parent / CONFIG_FILE).exists():
             raise ResultsError(f"{path} is a file in a result folder; pass the folder {path.parent}") from error
         raise ResultsError(
-            f"{path}: not a readable episode file ({type(error).__name__}: {shorten_text(error)}); pass a result "
-            "folder, or a file of docs/results/data/episodes"
+            f"{path} is neither a result folder nor a JSON file of outcomes, such as those of "
+            f"docs/results/data/episodes ({type(error).__name__}: {shorten_text(error)})"
         ) from error
     check_metadata(metadata, path)
     _check_scenes_differ(results, path)

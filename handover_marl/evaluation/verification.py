@@ -57,7 +57,7 @@ _TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class Difference:
-    """Value of a result folder that differs from the simulated or computed one (`expected`), both as text.
+    """Value of a result folder, named `key`, that differs from the simulated or computed one; both are texts.
 
     The scene number is None for a value of the folder's reports and policies.
     """
@@ -151,7 +151,7 @@ def verify(
             noise of the robot's initial joint positions that the folder states.
         workers: Number of worker processes; default: one per core.
         progress: Whether to show a progress bar on stderr.
-        trust: Whether policy files may run code, and a class that the folder names as its giver may be imported.
+        trust: Whether modules that policy files name, or the folder as its giver, may be imported.
 
     Raises:
         ResultsError: The folder cannot be read, or was made with another world.

@@ -101,7 +101,7 @@ def encode_arrays(arrays: Mapping[str, Any]) -> bytes:
 
 
 def render_template(package: str, template: str, **content: Any) -> str:
-    """Render a Jinja template, a file in `templates/` of a package, with variables `content`; `.html` escapes them."""
+    """Render a Jinja template in `templates/` of a package with variables `content`; escape them in `.html` files."""
     # Imported here: simulations write no such files.
     from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 

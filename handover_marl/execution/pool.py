@@ -65,7 +65,7 @@ class Pool:
         """Apply a function to tasks and yield (index in `tasks`, result) as tasks finish.
 
         Functions and classes of scripts and notebooks are sent by value. Closing the generator ends all tasks that
-        still run.
+        still run. An error of the function is raised here, and `WorkerError` if a worker process dies.
 
         Args:
             open_worker: Function that returns a context manager, which yields the function to apply; entered once in

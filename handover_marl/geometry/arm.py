@@ -1,7 +1,7 @@
 """Forward kinematics of the Panda for many configurations, and a test for unreachable poses.
 
-Arrays of `ArmKinematics` have the configurations as last axis, which is contiguous in memory:
-(3, n) points and (3, 3, n) rotations, all in the frame of the robot's base.
+Link frames and Jacobians are in the frame of the robot's base. They have the n configurations as last axis, e.g. (3, n)
+points and (3, 3, n) rotations, except in `ArmKinematics.compute_hand_jacobians`, where this axis is the first.
 """
 
 from collections.abc import Sequence
@@ -45,7 +45,7 @@ class ArmKinematics:
     Links are numbered along the chain: 0-6 are the arm's, 7 is the hand, 8 and 9 are the fingers.
 
     Args:
-        tree: Kinematic tree of the Panda.
+        tree: Kinematic tree of the Panda; one of another robot raises `SimulationError`.
 
     Attributes:
         link_names: Names of the ten links in the order of their numbers.
@@ -177,7 +177,7 @@ def solve_damped(jacobians: AnyArray, twists: AnyArray, damping: float | AnyArra
 
 
 def _combine(weights: Array, vectors: AnyArray) -> AnyArray:
-    """Return the sum of vectors (3, 3, n), weighted by the three weights along the first axis, (3, n)."""
+    """Return the sum (3, n) of three arrays of vectors, `vectors` (3, 3, n), each times one of three weights (3,)."""
     return weights[0] * vectors[0] + weights[1] * vectors[1] + weights[2] * vectors[2]
 
 

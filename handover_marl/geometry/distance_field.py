@@ -104,7 +104,7 @@ def load_object_sdf(urdf: Path, margin: float) -> DistanceField:
     """Load the signed distance field of an object's collision shapes from the cache, or compute and cache it.
 
     The field is in the frame of the link that has the shapes, which may overlap and have holes. The grid extends
-    `margin` (m) beyond the shapes.
+    `margin` (m) beyond the shapes. Computing a field needs libigl (extra `planning`).
     """
     path = get_cache_path(CACHE_KIND, urdf, f"{_VERSION} {_CELL} {margin}".encode())
     arrays = load_cached_arrays(path, ("values", "lower", "cell"), "distance field")

@@ -81,8 +81,10 @@ class KinematicTree:
         n_dof: Number of moving joints.
         moving_links: Child links of the moving joints, in the order of the joint positions.
         constants: Constants of the joints.
-        columns: Index (L,) in the joint positions of each link's joint; `n_dof` for fixed joints.
-        levels: Numbers of the links at one depth and of their parents, for each depth from the base's grandchildren on.
+        columns: Index (L,) of each link's joint in the joint positions; `n_dof`, the index of an appended zero, for
+            fixed joints.
+        levels: Pair of arrays for each depth of the tree, from the base's grandchildren on: the numbers of the links
+            at this depth, and of their parents.
     """
 
     def __init__(self, joints: Sequence[TreeJoint]) -> None:
@@ -128,7 +130,7 @@ class KinematicTree:
         return [joint.link for joint in self.joints].index(name)
 
     def compute_reach(self, link: int, spheres: Mapping[int, BoundingSphere]) -> float:
-        """Compute the largest distance (m) from a link's origin to the shapes of the link and its descendants.
+        """Compute an upper bound (m) on the distance from a link's origin to the shapes of it and its descendants.
 
         `spheres` maps the number of a link to the bounding sphere of its shapes. Revolute joints may have any position,
         prismatic joints are at zero.
@@ -177,7 +179,7 @@ def compute_tree_frames(
 
 @cached_by_file(maxsize=None)
 def read_tree(urdf: Path) -> KinematicTree:
-    """Read the kinematic tree of a URDF file; an unchanged file is read once."""
+    """Read the kinematic tree of a URDF file, once while it is unchanged; raise `SimulationError` if this fails."""
     try:
         return KinematicTree(_read_joints(parse_urdf(urdf)))
     except (OSError, ValueError, KeyError, AttributeError) as error:
@@ -239,7 +241,7 @@ def compute_link_trajectory(
 
 
 class TreeBank:
-    """Kinematic trees of several models, stored on one device; joints are the same, links may have different sizes.
+    """Kinematic trees of several models on one device; the models have the same joints, but links of any size.
 
     Args:
         noun: Plural of the models' kind, for errors, e.g. "hands".
@@ -254,7 +256,7 @@ class TreeBank:
         self._levels: Sequence[tuple[AnyArray, AnyArray]] = ()
 
     def add(self, urdf: Path) -> int:
-        """Copy the constants of a model to the device, unless they are there, and return the model's number."""
+        """Copy a model to the device, unless it is there; return its number. Other joints raise `OptionError`."""
         key = urdf, urdf.stat().st_mtime_ns
         if key not in self._numbers:
             self._numbers[key] = self._add(urdf)

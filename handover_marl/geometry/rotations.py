@@ -205,9 +205,10 @@ def _euler_solutions(angles: AnyArray) -> AnyArray:
 
 
 def find_nearest_euler_branch(angles: AnyArray, previous: AnyArray) -> tuple[AnyArray, AnyArray]:
-    """Select the XYZ Euler angles of the rotations `angles` (n, 3) that are nearest to `previous` (n, 3) (rad).
+    """Find which XYZ Euler angles of the rotations `angles` (n, 3) are nearest to `previous` (n, 3) (rad).
 
-    Returns which triple is nearest (n,), 0 for the given or 1 for the other, and the full turns (n, 3) to add to it.
+    Each rotation has two triples of angles, up to full turns. Returns the nearest one (n,), 0 for the triple in
+    `angles` and 1 for the other, and the numbers (n, 3) of full turns to add to it.
     """
     xp = get_namespace(angles)
     solutions = _euler_solutions(angles)

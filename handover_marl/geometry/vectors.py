@@ -1,4 +1,4 @@
-"""Products and lengths of vectors, equal to NumPy's to the bit and faster for small arrays; distances to boxes."""
+"""Products and lengths of vectors, for NumPy arrays bit-equal to NumPy's and often faster; distances to boxes."""
 
 import numpy as np
 import numpy.typing as npt
@@ -7,7 +7,7 @@ from handover_marl.geometry.arrays import AnyArray, as_arrays, get_namespace, is
 
 
 def compute_dot_products(first: AnyArray, second: AnyArray) -> AnyArray:
-    """Compute the dot products (...) of vectors (..., k), each equal to `np.dot` to the bit."""
+    """Compute the dot products (...) of vectors (..., k); for NumPy arrays, each equals `np.dot` to the bit."""
     xp, first, second = as_arrays(first, second)
     if is_tensor(first):
         return xp.sum(first * second, axis=-1)
@@ -15,12 +15,12 @@ def compute_dot_products(first: AnyArray, second: AnyArray) -> AnyArray:
 
 
 def compute_lengths(vectors: AnyArray) -> AnyArray:
-    """Compute the lengths (...) of vectors (..., k), each equal to `np.linalg.norm` to the bit."""
+    """Compute the lengths (...) of vectors (..., k); for NumPy arrays, each equals `np.linalg.norm` to the bit."""
     return get_namespace(vectors).sqrt(compute_dot_products(vectors, vectors))
 
 
 def limit_lengths(vectors: AnyArray, length: float) -> AnyArray:
-    """Return vectors (..., k), shortened to a length where they are longer."""
+    """Return vectors (..., k), of which those longer than `length` are shortened to it."""
     return vectors * (length / compute_lengths(vectors).clip(length))[..., None]
 
 

@@ -235,7 +235,7 @@ class GraspVelocityFeatures(GraspFeatures):
         self._velocities[row], self._times[row] = 0.0, -1.0
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the features (r, 70) of the episodes `rows`; two calls at the same time count as one decision."""
+        """Return the features (r, 70) of the episodes `rows`; calls at the same episode time count as one decision."""
         times, gripper = widen(observation["time"][:, 0]), widen(observation["gripper_pose"])
         xp, axes, parts = (
             get_namespace(times),
@@ -256,7 +256,7 @@ class GraspProximityFeatures(GraspFeatures):
     """Features (12) that suffice to decide when to close the gripper.
 
     In the gripper frame: translation (3) and rotation vector (3) to the grasp of lowest cost. Then
-    follow the proximity of position and orientation to the grasp, which decay exponentially (2), the
+    follow the proximities of position and orientation, which decay exponentially with distance (2), the
     finger joints (2), whether the object was released (1), and whether grasps of the object are known (1). With so
     few features a policy learns to close the gripper from few episodes.
 
@@ -301,7 +301,7 @@ class StackedFeatures(GraspProximityFeatures):
         self._stacks[row], self._times[row] = 0.0, -1.0
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return features (r, N_STACKED * 12) of the episodes with indices `rows`; a new time means a new decision."""
+        """Return features (r, N_STACKED * 12) of the episodes `rows`; calls at one time are one decision."""
         times = widen(observation["time"][:, 0])
         later = rows[times != self._times[rows]]
         self._stacks[later, 1:] = self._stacks[later, :-1]

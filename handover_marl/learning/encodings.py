@@ -86,7 +86,7 @@ def count_outputs(agent: str, name: str) -> int:
 
 
 def check_encodings(agent: str, features: FeaturesLike, scheme: SchemeLike) -> None:
-    """Check that features and action scheme exist if they are names of built-in ones."""
+    """Raise UnknownNameError if names of built-in features, or of a scheme, do not exist for the agent."""
     for choice, count in ((features, count_features), (scheme, count_outputs)):
         if isinstance(choice, str) and not is_reference(choice) and choice != OBSERVATION:
             count(agent, choice)

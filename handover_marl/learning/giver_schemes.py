@@ -80,7 +80,7 @@ class HandoverPoseScheme(ArrayScheme):
         self.pose_variation.reset(row)
 
     def needs_outputs(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return (r,) whether the recorded hand is about to stop and the episode has had no outputs yet."""
+        """Return (r,) whether to decide: no outputs yet, and the hand with the object stops soon or it is late."""
         xp, coming = self._arrays.xp, observation["replay_wrist_poses"][:, 2:, :3]
         moves = xp.astype(xp.max(xp.abs(coming - coming[:, -1:]), axis=(1, 2)), xp.float64)
         is_arriving = moves < self.arrival_tolerance
@@ -94,7 +94,7 @@ class HandoverPoseScheme(ArrayScheme):
         self._decided[rows] = True
 
     def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return actions (r, 8) of the episodes with indices `rows`: to the chosen pose, or away after the release."""
+        """Return actions (r, 8) of the episodes `rows`: zeros, then the chosen pose, then the withdrawal."""
         xp = self._arrays.xp
         new = xp.nonzero(self._decided[rows] & ~self._chosen[rows])[0]
         if len(new):

@@ -61,9 +61,9 @@ class GraspCosts:
         hold_weight: Weight (m/s) of the cost (s) of a grasp that may not hold.
         desired_clearance: Desired distance of the person's fingers from the gripper on its approach (m).
         clearance_weight: Weight of the amount by which the clearance is below the desired one.
-        min_clearance: Clearance below which a grasp has the additional cost `contact_cost` (m).
+        min_clearance, contact_cost: Clearance below which a grasp costs more (m), and this additional cost (m).
         reach_weight: Weight of the distance of the nearest pose that the arm can reach.
-        reach_tolerance: Distance above which a grasp has the additional cost `unreachable_cost` (m).
+        reach_tolerance, unreachable_cost: Distance above which a grasp costs more (m), and this additional cost (m).
     """
 
     rotation_weight, hold_weight = 0.25, 0.1
@@ -99,7 +99,7 @@ class GraspCosts:
         return costs + self.unreachable_cost * widen(distances > self.reach_tolerance)
 
     def compute_clearances(self, poses: AnyArray, joints: AnyArray) -> AnyArray:
-        """Return the distances (r, k) in m of persons' fingers from the gripper on its approach to k grasps.
+        """Return the distances (r, k) in m, at most MAX_CLEARANCE, of fingers from the gripper on its way to k grasps.
 
         Grasps (r, k, 7) and the joints (r, 16, 3) of the hands are in the objects' frames.
         """
@@ -135,7 +135,7 @@ class GraspCosts:
 
 @functools.lru_cache(maxsize=1024)
 def load_validated_grasps(context: PolicyContext, object_class: int) -> tuple[Array, Array] | None:
-    """Return the validated grasps of an object class and their half turns, with costs; None without known grasps.
+    """Return validated grasps of an object class, then the same turned by 180 degrees, and costs; None if unknown.
 
     Grasps are poses (n, 7) in the object's frame; costs (n,) in s are higher for grasps that may slip. The validation
     in simulation takes minutes the first time for an object of the user.

@@ -150,7 +150,7 @@ class OfferFeatures:
 
 
 def compute_offer_scores(outputs: AnyArray) -> AnyArray:
-    """Return scores (k,) of offers, higher is better: probability of success times the share of the time that is saved.
+    """Return scores (k,) of offers, higher is better: probability of success times the unused share of the time limit.
 
     Args:
         outputs: Outputs (k, 2) of a network: logit of the success, and the time of the success as a share of the limit.
@@ -161,7 +161,7 @@ def compute_offer_scores(outputs: AnyArray) -> AnyArray:
 
 @functools.lru_cache(maxsize=1024)
 def _load_known_grasps(context: PolicyContext, object_class: int) -> tuple[Array, Array] | None:
-    """Return a class's known grasps and their half turns, poses (n, 7) in its frame, and zeros (n,) as hold costs."""
+    """Return a class's known grasps and their half turns (n, 7) in its frame, and zeros (n,) as hold costs, or None."""
     poses = load_hand_poses(context.load_grasps, context.object_names[object_class])
     if poses is None:
         return None

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from handover_marl.config import MAX_CONTROL_PERIOD
 from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverError, OptionError
 from handover_marl.execution.files import shorten_text, write_arrays
 from handover_marl.execution.reading import read_arrays, read_plain_file
@@ -21,7 +22,7 @@ _DEFAULT_PERIOD = 0.1  # s, as that of environments
 
 
 def check_policy_path(path: Path) -> None:
-    """Check that a policy file can have this path, so that a training does not fail at its end."""
+    """Check that a path ends in .npz, as policy files do, so that a training does not fail at its end."""
     if path.suffix != ".npz":
         raise OptionError(f"a policy file to write must end in .npz, got {path}; choose another name")
 
@@ -42,12 +43,12 @@ def write_policy(path: Path, spec: PolicySpec, network: DenseNetwork) -> None:
 
 
 def read_policy(path: Path, agent: str, trust: bool = False, **given: Any) -> tuple[PolicySpec, DenseNetwork, str]:
-    """Read a policy file; no code in it is run.
+    """Read a policy file, without running code; raise DataNotFoundError or DataFormatError if that fails.
 
     Args:
         path: Policy file.
         agent: Agent that the policy must control, "giver" or "receiver".
-        trust: Whether modules that the file names may be imported.
+        trust: Whether modules that the file names may be imported; else such a file raises UnsafeFileError.
         **given: Fields of `PolicySpec` that replace the fields in the file; None keeps a field, see `complete_spec`.
 
     Returns:
@@ -85,7 +86,8 @@ def complete_spec(
         where: File or name of the policy, for errors.
         agent: Agent that the policy must control; None for the recorded one.
         recorded: Fields of `PolicySpec` by name that the training recorded.
-        given: Fields of `PolicySpec` by name that the caller chooses; None as a value means not chosen.
+        given: Fields of `PolicySpec` by name that the caller chooses; None as a value means not chosen. A chosen
+            control period must equal the recorded one, else OptionError is raised; without either, it is 0.1 s.
     """
     if agent is not None and recorded.get("agent", agent) != agent:
         raise DataFormatError(f"{where}: policy must be for the {agent}, got one for the {recorded['agent']}")
@@ -94,11 +96,9 @@ def complete_spec(
     period = fields["control_period"]
     before = recorded.get("control_period", period)
     for value in (before, period):
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.001 <= value <= 5.0:
-            got = shorten_text(repr(value))
-            raise OptionError(
-                f"{where}: control_period must be a time from 0.001 to 5 s, got {got}; for 100 ms pass 0.1"
-            )
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.001 <= value <= MAX_CONTROL_PERIOD:
+            rule = f"control_period must be a time from 0.001 to {MAX_CONTROL_PERIOD:g} s"
+            raise OptionError(f"{where}: {rule}, got {shorten_text(repr(value))}; for 100 ms pass 0.1")
     if abs(before - period) > 1e-9:
         raise OptionError(f"{where}: control_period must be {before} as in training, got {period}")
     for key, name in (("agent", "agent"), ("features", "features"), ("actions", "action_scheme")):

@@ -81,7 +81,7 @@ class OutputBounds:
 
 @dataclass(frozen=True, eq=False)
 class DenseNetwork:
-    """Multilayer perceptron that runs without PyTorch in NumPy, or on PyTorch tensors (`copy_to`).
+    """Multilayer perceptron in NumPy, or on PyTorch tensors (`copy_to`); raises DataFormatError if parts do not fit.
 
     Attributes:
         weights: Weight matrices (n_outputs, n_inputs) of the layers.

@@ -152,10 +152,10 @@ class GraspServoScheme(HandMotionScheme):
     """Scheme that moves to the grasp of lowest cost, with corrections by the outputs, and then to the goal.
 
     The arm stays at the waiting pose during `wait`. Then it approaches the grasp chosen by
-    `handover_marl.learning.grasp_selector` along the grasp's z axis: the farther the gripper is from
-    this axis or from the grasp's orientation, the longer the standoff. After the release it moves the
-    gripper to the goal. With zero outputs the gripper never closes, so that the policy has to learn
-    when to close and how to correct the approach. The target is the grasp or its standoff pose.
+    `handover_marl.learning.grasp_selector` along the grasp's z axis: the farther the gripper is from this axis or from
+    the grasp's orientation, the longer the standoff. Without a known grasp the gripper stays where it is. After the
+    release it moves to the goal. With zero outputs the gripper never closes, so that the policy has to learn when to
+    close and how to correct the approach. The target is the grasp, its standoff pose, or the goal after the release.
 
     | outputs | meaning at 1, in the frame of the target |
     |---|---|

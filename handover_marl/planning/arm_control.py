@@ -96,10 +96,11 @@ class ArmInWorld:
     def compute_joint_velocity(
         self, joints: Array, linear: Array, angular: Array, rotation_weight: float, period: float
     ) -> Array:
-        """Return joint velocities (7,) in rad/s at joints (7,) that give the hand link a velocity in the world frame.
+        """Return joint velocities (7,) in rad/s at joints (7,) in rad that best give the hand link a world velocity.
 
-        The velocity is linear (3,) in m/s and angular (3,) in rad/s, with the weight `rotation_weight` (m/rad).
-        Joints that would exceed their limit within the control `period` (s) are not moved.
+        The wanted velocity is `linear` (3,) in m/s and `angular` (3,) in rad/s. Damped least squares minimize its
+        error, in which `rotation_weight` (m/rad) weights the angular part. A joint that would exceed its limit within
+        the control `period` (s) is not moved.
         """
         weights = np.array([1.0, 1.0, 1.0, rotation_weight, rotation_weight, rotation_weight])
         rows = weights[:, None] * self.compute_jacobian(joints)
@@ -142,7 +143,7 @@ class ArmServo:
     Position motors lag behind their targets. The targets therefore lead the wanted motion by the same amount.
 
     Args:
-        config: Joint speeds and accelerations.
+        config: Limits on joint speeds and accelerations.
         gain: Share of the position error that a motor corrects in one physics step.
         period: Control period (s).
         time_step: Duration of a physics step (s).
@@ -177,7 +178,7 @@ class ArmServo:
         return wanted
 
     def limit_speed(self, velocity: Array) -> Array:
-        """Return joint velocities (7,) in rad/s scaled by one factor to obey the speed limits."""
+        """Return joint velocities (7,) in rad/s, all scaled down by one factor if any exceeds its speed limit."""
         excess = float((np.abs(velocity) / self.max_speeds).max())
         return velocity / excess if excess > 1.0 else velocity
 

@@ -94,10 +94,11 @@ def enforce_separation(
     config: SeparationConfig,
     leaving: bool = False,
 ) -> Array:
-    """Change wanted joint velocities (7,) in rad/s at joints (7,) as little as needed to keep clear of all bodies.
+    """Change wanted joint velocities (7,) in rad/s at joints (7,) in rad so that the robot keeps clear of bodies.
 
-    If not all bodies can be avoided, the last one has priority. The robot moves away from a body whose clearance is
-    below the minimum; if `leaving` is set, as when it withdraws from a person's hand, it only must not come closer.
+    The velocity damper of this module limits how fast the robot approaches each body. If not all limits can be kept,
+    the last body has priority. The robot moves away from a body whose clearance is below the minimum. With `leaving`,
+    which is meant for the withdrawal from a person's hand, it is enough that the robot does not come closer.
     """
     hand, dampers = arm.compute_hand_pose(joints), []
     for body in bodies:
@@ -126,9 +127,10 @@ def select_safe_velocity(
 ) -> Array:
     """Return the first of several joint velocities (7,) that keeps all clearances at the end of the lookahead.
 
-    If no candidate does so, the one with the smallest violation is returned. The candidates `wanted` (n, 7) in
-    rad/s are ordered by preference; `reached` (n, 7) are the velocities that the motors can reach for each of them.
-    The arm is at `joints` (7,) in rad, and the table's surface at `table_height`, world z in m.
+    A clearance must be at least its minimum, or its present value if this is smaller, less `config.slack`. If no
+    candidate satisfies this, the one with the smallest violation is returned. The candidates `wanted` (n, 7) in rad/s
+    are ordered by preference; row i of `reached` (n, 7) is the velocity that the motors can reach for row i of
+    `wanted`. The arm is at `joints` (7,) in rad, and the table's surface at `table_height`, world z in m.
     """
     line = np.concatenate([joints[None], joints + config.lookahead * reached])
     hands, heights = arm.compute_hand_poses(line), compute_lowest_heights(arm, line) - table_height
@@ -165,8 +167,8 @@ class PathObstacles:
 def is_path_clear(arm: ArmInWorld, start: Array, goal: Array, obstacles: PathObstacles) -> bool:
     """Return whether arm and open gripper keep clear of obstacles on the straight joint path from start to goal, (7,).
 
-    If the start has less than the wanted clearance, a path counts as clear if no point of it has less clearance
-    than the start.
+    Clearances are checked at four points of the path. If the start has less than the wanted clearance, the path counts
+    as clear if none of these points has less clearance than the start.
     """
     path = start + _SHARES[:, None] * (goal - start)
     return bool(_are_clear(arm, start, path[None], obstacles)[0])
@@ -181,13 +183,11 @@ def find_via_point(
     obstacles: PathObstacles,
     max_candidates: int,
 ) -> Array | None:
-    """Return the via point (7,) of the fastest clear path from start to goal, (7,) in rad; None if there is none.
+    """Return the via point (7,) of the fastest clear path from start to goal, (7,) in rad; None if none is clear.
 
-    A path is clear, too, if it comes no closer to obstacles than its start is.
-
-    The paths from start to via point and from there to the goal are straight in joint space. Candidates are the
-    `known` ones (n, 7) and random ones around the middle of the path; the `max_candidates` fastest are checked,
-    with joint speeds (7,) in rad/s.
+    A path is straight in joint space from start to via point, and from via point to goal; it is clear by the rule of
+    `is_path_clear`. Candidates are the `known` via points (n, 7), and 50 fixed pseudo-random offsets from the middle
+    between start and goal. Only the `max_candidates` fastest paths at joint speeds `speeds` (7,) in rad/s are checked.
     """
     candidates = np.clip(np.concatenate([known, 0.5 * (start + goal) + _OFFSETS]), *arm.limits)
     to_candidate = (np.abs(candidates - start) / speeds).max(axis=1)
@@ -203,7 +203,7 @@ def find_via_point(
 
 
 def _are_clear(arm: ArmInWorld, start: Array, paths: Array, obstacles: PathObstacles) -> npt.NDArray[np.bool_]:
-    """Return a mask (n,) of the paths (n, k, 7) that keep clear of the obstacles, or are no closer than the start."""
+    """Return a mask (n,) of the paths (n, k, 7) whose points all have the wanted clearance, or no less than `start`."""
     line = np.concatenate([start[None], paths.reshape(-1, paths.shape[-1])])
     spheres = obstacles.spheres
     clearances = np.minimum(

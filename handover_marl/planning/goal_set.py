@@ -119,7 +119,7 @@ class GoalSet:
         return self.tails[:, -1]
 
     def select(self, chosen: npt.NDArray[np.generic]) -> "GoalSet":
-        """Return a goal set that contains only the goals with the given indices or flags."""
+        """Return a goal set of some goals, which `chosen` gives as indices (k,) or as a mask (g,)."""
         return GoalSet(self.tails[chosen], self.grasps[chosen], self.clearances[chosen])
 
 
@@ -151,9 +151,10 @@ class GoalSetBuilder:
     def build(self, grasps: Array, objects: Sequence[Obstacle], person: Obstacle | None) -> GoalSet:
         """Return the goals at which the hand link reaches one of the grasps, poses (n, 7; xyzw) in the base frame.
 
-        The arm must not collide with `objects` at a standoff. Goals with too little clearance to the person's hand,
-        `person`, are excluded if others exist; of similar goals, the one with the largest clearance is kept. The goals
-        are in random order.
+        Goals are excluded if the hand turns far on the straight joint path to them, or if arm or hand link collide with
+        `objects` at the standoff. Goals with too little clearance to the person's hand, `person`, are excluded if
+        others exist. Of similar goals, the one with the largest clearance is kept. At most 100 goals are returned, in
+        a pseudo-random order that is the same in every call.
         """
         goals = self._add_wrist_flips(self._solve_tails(grasps))
         goals = goals.select(self._keeps_orientation(goals.goals))
@@ -175,7 +176,7 @@ class GoalSetBuilder:
         return np.asarray(by_point.min(axis=(0, 2)).astype(np.float64))
 
     def _solve_tails(self, grasps: Array) -> GoalSet:
-        """Return a goal for each grasp (n, 7) and each IK seed from which IK converges at all poses of the tail."""
+        """Return a goal for each grasp (n, 7) and IK seed from which IK solves the whole tail without a jump."""
         seeds = np.array([self._start, *_IK_SEEDS])
         numbers = np.repeat(np.arange(len(grasps)), len(seeds))
         joints, solved = self._solve(self._tail_poses(grasps, 0), numbers, np.tile(seeds, (len(grasps), 1)))
@@ -194,13 +195,13 @@ class GoalSetBuilder:
         return np.asarray(compose(grasps, np.array([0.0, 0.0, -back, 0.0, 0.0, 0.0, 1.0])))
 
     def _solve(self, poses: Array, numbers: npt.NDArray[np.int_], seeds: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
-        """Solve IK for the poses (n, 7) with indices `numbers` (k,) from seeds (k, 7): joints (k, 7), success (k,)."""
+        """Solve IK for the poses (n, 7) with indices `numbers` (k,) from seeds (k, 7); return joints and success."""
         rotations = Rotation.from_quat(poses[:, 3:]).as_matrix()
         targets = poses[numbers, :3], rotations[numbers]
         return solve_ik(self._arm, *targets, seeds, self._limits, _TOLERANCE, _MAX_ITERATIONS)
 
     def _add_wrist_flips(self, goals: GoalSet) -> GoalSet:
-        """Append the same grasps with the last joint rotated by pi, within its limits."""
+        """Append a copy of each goal with the last joint rotated by pi, unless this exceeds the joint's limits."""
         flipped = goals.tails.copy()
         # All rows are rotated in the direction of the first one, so that a tail across zero has no jump.
         flipped[..., _LAST_JOINT] -= np.copysign(np.pi, goals.tails[:, :1, _LAST_JOINT])
@@ -214,7 +215,7 @@ class GoalSetBuilder:
         )
 
     def _keeps_orientation(self, goals: Array) -> npt.NDArray[np.bool_]:
-        """Return a mask (g,) of the goals (g, 7) for which the hand turns little on the straight joint path."""
+        """Return a mask (g,) of the goals (g, 7) whose straight joint path roughly keeps the hand's orientation."""
         shares = np.arange(1, _N_PATH_CHECKS + 1) / (_N_PATH_CHECKS + 1)
         line = self._start + shares[:, None, None] * (goals - self._start)
         rotations = self._arm.compute_chain_frames(line.reshape(-1, 7)).rotations[-1]
@@ -224,7 +225,7 @@ class GoalSetBuilder:
         return np.asarray(is_allowed.reshape(len(shares), -1).all(axis=0))
 
     def _is_collision_free(self, standoffs: Array, obstacles: Sequence[Obstacle]) -> npt.NDArray[np.bool_]:
-        """Return a mask (g,) of the standoffs (g, 7) at which arm and hand link, without fingers, do not collide."""
+        """Return a mask (g,) of the standoffs (g, 7) with at most five collisions of arm and hand, without fingers."""
         points = transform_body_points(self._arm.compute_link_frames(standoffs), self._body)
         points = points[:, : points.shape[1] - _N_FINGERS * len(self._body[0])]
         hits = np.zeros(len(standoffs), dtype=np.int_)
@@ -237,7 +238,7 @@ class GoalSetBuilder:
         return is_free
 
     def _remove_similar_goals(self, goals: GoalSet) -> GoalSet:
-        """Return goals with different standoffs, in random order and of limited number."""
+        """Return at most 100 goals whose standoffs are at least 0.5 rad apart, shuffled with a fixed seed."""
         kept: list[int] = []
         for number, standoff in enumerate(goals.standoffs):
             distances = np.linalg.norm(goals.standoffs[kept] - standoff, axis=1)
@@ -258,7 +259,8 @@ class GoalSelector:
         goals: (g, 7) goal configurations (rad).
         goal_costs: (g,) cost of each goal in addition to the cost of the path to it.
         n_waypoints: Number of waypoints of a trajectory.
-        unchecked_last: Whether only the last goal has no obstacle cost on its tail, an error in the authors' code.
+        unchecked_last: Whether obstacles without `in_tail` have no cost on the last goal's tail only, instead of on all
+            tails; an error in the authors' code.
     """
 
     def __init__(
@@ -276,7 +278,7 @@ class GoalSelector:
         return int(np.argmin(self._costs(trajectory, 0)))
 
     def select_next(self, trajectory: Array, round_number: int) -> int:
-        """Update the selection by a trajectory (w, 7), and return the selected goal's index; rounds count from 1."""
+        """Update the goals' weights by a trajectory (w, 7) in a round, from 1; return the selected goal's index."""
         costs = self._costs(trajectory, round_number)
         before = self._experts
         self._experts = np.stack(

@@ -24,8 +24,8 @@ class HandoverPosePredictorConfig(CheckedConfig):
         + attraction * tanh(|v| / attraction_speed) * (mean_handover_position - p).
 
     The second term moves the prediction of a moving object towards the mean handover position; it is zero for an object
-    at rest. An object that was lifted and then stays within a small region counts as held still. Its velocity is
-    extrapolated for a shorter time, without the second term. The constants were fitted on recordings of s0 train.
+    at rest. An object that was lifted and is near its position `held_still_time` ago counts as held still. Its velocity
+    is extrapolated for a shorter time, without the second term. The constants were fitted on recordings of s0 train.
 
     Attributes:
         velocity_horizon: Time for which the velocity is extrapolated (s).
@@ -37,7 +37,7 @@ class HandoverPosePredictorConfig(CheckedConfig):
         smoothing_time: Time constant of the velocity filter (s).
         rest_speed: Speed below which an object counts as at rest (m/s).
         held_still_radius: Maximum distance of an object that is held still from its position `held_still_time` ago (m).
-        held_still_time: Time for which an object that is held still has stayed within `held_still_radius` (s).
+        held_still_time: Time between the two positions whose distance shows that an object is held still (s).
         held_still_min_lift: Minimum distance of the object's position `held_still_time` ago from its first one (m).
         held_still_horizon: Time for which the velocity of an object that is held still is extrapolated (s).
     """
@@ -108,7 +108,7 @@ class HandoverPosePredictor:
 
     @property
     def is_held_still(self) -> bool:
-        """Whether the object was lifted and has since stayed within a small region."""
+        """Whether the object was lifted and is near the place where it was `held_still_time` ago."""
         if self.start is None:
             return False
         config, (since, position) = self.config, self._history[0]

@@ -135,7 +135,7 @@ def _smallest_motion(jacobian: Array, error: Array, damping: float) -> Array:
 def make_ik_stepper(urdf: Path, config: PandaConfig) -> IkStepper:
     """Create an IK solver of few iterations, which may not converge, for a Panda's model at the base pose of `config`.
 
-    The solver is PyBullet's where PyBullet is installed.
+    The solver is PyBullet's where PyBullet is installed, else a `PandaIkSolver`.
     """
     if not is_pybullet_installed():
         return PandaIkSolver(urdf, config)
@@ -174,7 +174,7 @@ class ThreadIkSolver(IkSolver):
         self._find()
 
     def solve_many(self, starts: Joints, positions: Array, orientations: Array | None = None) -> Array:
-        """Return arm joints (n, 7) in rad, nan where IK fails, for starts (n, 9) and hand link poses (world, xyzw)."""
+        """Return arm joints (n, 7) in rad for n world poses, nan where IK fails; see `IkSolver.solve_many`."""
         parts = [part for part in (starts[:, :ARM_DOF], positions, orientations) if part is not None]
         keys = [row.tobytes() for row in np.concatenate(parts, axis=1, dtype=np.float64)]
         rows = np.flatnonzero([key not in self._unsolved for key in keys])
@@ -222,7 +222,7 @@ class PandaIkSolver(IkSolver):
         self._reach = ReachabilityBound(self._base)
 
     def solve_many(self, starts: Joints, positions: Array, orientations: Array | None = None) -> Array:
-        """Return arm joints (n, 7) in rad, nan where IK fails, for starts (n, 9) and hand link poses (world, xyzw)."""
+        """Return arm joints (n, 7) in rad for n world poses, nan where IK fails; see `IkSolver.solve_many`."""
         found = np.full((len(starts), ARM_DOF), np.nan)
         rows = np.flatnonzero(~self._reach.is_unreachable(positions, orientations, _REACH_DISTANCE, _REACH_ANGLE))
         if len(rows):

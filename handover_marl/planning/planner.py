@@ -58,11 +58,12 @@ class PlannerConfig:
         n_waypoints: Number of waypoints of a trajectory without its start; the default is the authors'.
         avoids_hand: Whether the person's hand is an obstacle; the authors' code ignores it.
         unchecked_last: Whether to reproduce an indexing error of the authors' code. It sets the obstacle costs of the
-            last rows of every array to zero, which is meant for the approach at the end of a trajectory. In arrays of
-            goals, these are the last five goals, which skip the collision check, and in goal selection the waypoints of
-            the last goal, which makes it seem cheap. Measured on DexYCB (exact physics, replay giver, paired by scene),
-            the error changes s0 test (144 scenes) by +2.1 percentage points of success (95 %: -6.8 to +11.0) and -4.9
-            of contact (-12.6 to +3.0), s1 test (180 scenes) by +8.9 (+0.9 to +16.7) and -10.6 (-17.9 to -3.0).
+            last rows of every array to zero, which is meant for the approach at the end of a trajectory. In the
+            collision check the rows are goals, so that the last five goals pass it; in goal selection they are the
+            waypoints of the last goal, which therefore seems cheap. Measured on DexYCB (exact physics, replay giver,
+            paired by scene), the error changes s0 test (144 scenes) by +2.1 percentage points of success (95 %: -6.8 to
+            +11.0) and -4.9 of contact (-12.6 to +3.0), s1 test (180 scenes) by +8.9 (+0.9 to +16.7) and -10.6 (-17.9 to
+            -3.0).
     """
 
     n_waypoints: int = 30
@@ -118,9 +119,11 @@ class Planner:
         self._start = start
 
     def plan(self, grasps: Array, objects: Sequence[Obstacle], hand: Capsules | None = None) -> Plan | None:
-        """Compute a trajectory to one of the grasps, hand link poses (n, 7; quaternion xyzw); None if none is reached.
+        """Compute a trajectory to one of the grasps, hand link poses (n, 7; quaternion xyzw); None without a goal.
 
-        Grasps, obstacles `objects` and the person's `hand`, None to ignore it, are in the robot's base frame.
+        Grasps, obstacles `objects` and the person's `hand`, None to ignore it, are in the robot's base frame. There is
+        no goal if no grasp passes the checks of `GoalSetBuilder.build`. A trajectory is also returned if its
+        optimization has not converged.
         """
         config = self.config
         person = make_hand_obstacle(hand) if hand is not None and config.avoids_hand else None
@@ -138,7 +141,7 @@ class Planner:
         return self._optimize(goals, selector, chomp)
 
     def _optimize(self, goals: GoalSet, selector: GoalSelector, chomp: "Chomp") -> Plan:
-        """Compute a plan by alternating goal selection and trajectory steps."""
+        """Compute a plan by up to 50 steps of goal selection and CHOMP, then up to 20 with the last selected goal."""
         n_waypoints = self.config.n_waypoints
         first = make_initial_trajectory(self._start, goals.goals[0], n_waypoints)
         chosen = selector.select_first(first)
@@ -195,7 +198,7 @@ class Chomp:
         return float(0.5 * (steps**2).sum())
 
     def step(self, trajectory: Array, tail: Array, number: int) -> Array:
-        """Return the trajectory (w, 7) after gradient step `number`, from 1; it ends on an approach, `tail` (t, 7)."""
+        """Return the trajectory (w, 7) after gradient step `number`, from 1; its end is moved to the `tail` (t, 7)."""
         smooth = self._metric @ trajectory + self._start_gradient[:, None] * self._start
         near = _OBSTACLE_WEIGHT * self._cost.compute_gradient(trajectory, self._start, tail[-1])
         near = np.clip(near, -_MAX_GRADIENT, _MAX_GRADIENT)

@@ -195,7 +195,7 @@ def compute_lowest_heights(arm: ArmInWorld, joints: Array) -> Array:
 
 
 def find_closest_arm_points(arm: ArmInWorld, joints: Array, spheres: Spheres) -> tuple[ClosestPoints, int]:
-    """Return the closest points of arm (elbow to wrist) at joints (7,) and a body in the world, and the arm link."""
+    """Return the closest points of arm (elbow to wrist) at joints (7,) and body, and the index of this arm link."""
     starts, ends = (end[0] for end in _arm_segments(arm, joints[None]))
     axes = (ends - starts)[:, None]
     from_start = spheres.centers - starts[:, None]

@@ -12,6 +12,7 @@ from handover_marl.config import PANDA_DOF
 from handover_marl.episode.loop import call_policy, start_policy, steps_from_hold_time
 from handover_marl.episode.observations import Observation, add_episode_axis
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE
+from handover_marl.errors import OptionError
 from handover_marl.geometry.arrays import (
     NUMPY_ARRAYS,
     ONLY_ROW,
@@ -21,7 +22,7 @@ from handover_marl.geometry.arrays import (
     ArrayFactory,
     to_numpy,
 )
-from handover_marl.policies.policy import Action, Policy
+from handover_marl.policies.policy import Action, Policy, require_reset
 
 #: Actions (r, ...), float32.
 Actions: TypeAlias = AnyArray
@@ -100,6 +101,8 @@ class ArrayPolicy(Policy):
     actions have one row for each of them.
     """
 
+    _has_episode = False
+
     @abstractmethod
     def allocate(self, count: int, arrays: ArrayFactory) -> None:
         """Create the state of `count` episodes, in arrays that `arrays` creates."""
@@ -129,10 +132,17 @@ class ArrayPolicy(Policy):
 
     def reset(self, seed: int | None = None) -> None:
         """Start an episode of a policy that acts in a single one; the seed determines its random numbers."""
+        self._has_episode = True
         self.start(0, seed)
 
     def act(self, observation: Observation) -> Action:
         """Return the action, (8,) of a giver or (9,) of a receiver, in a single episode; `decide` is for several."""
+        require_reset(self._has_episode or None, self.name)
+        if self.agent in observation:
+            raise OptionError(
+                f"act needs the observation of the {self.agent}, got those of both agents; pass "
+                f"observations[{self.agent!r}]"
+            )
         action: Action = self.decide(ONLY_ROW, add_episode_axis(observation))[0]
         return action
 

@@ -64,7 +64,7 @@ def hash_package(name: str) -> str:
     """Return the version of a top-level package that is installed, or a hash of the Python files of another package.
 
     For a module outside a package, the hash covers its file, and the modules and packages in the same folder that it
-    imports, directly or not. The result is empty for the standard library, and a random number for code without a file.
+    imports, directly or not. For the standard library it is a version or empty; code without a file gets a random hash.
     """
     package, folders = sys.modules.get(name), _find_folders(name)
     if _is_installed(name):
@@ -176,7 +176,7 @@ def _list_parts_of_definition(value: Any) -> list[Any]:
 
 
 def _list_parts(value: Any) -> list[Any]:
-    """Return the values that are hashed of an object or container: its elements, or its class and attributes."""
+    """Return the values to hash of a container or object: its elements, or class and attributes if it is picklable."""
     if isinstance(value, Mapping):
         return sorted(((str(key), part) for key, part in value.items()), key=lambda pair: pair[0])
     if isinstance(value, (list, tuple)):

@@ -12,11 +12,11 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import OFFICIAL_CONFIG, PandaConfig, ProtocolConfig, WorldConfig
+from handover_marl.config import MAX_CONTROL_PERIOD, OFFICIAL_CONFIG, PandaConfig, ProtocolConfig, WorldConfig
 from handover_marl.datasets.dataset import Dataset
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import STATE, check_vector
-from handover_marl.errors import OptionError, ResetNeededError, UnknownNameError
+from handover_marl.errors import ActionError, OptionError, ResetNeededError, UnknownNameError
 from handover_marl.execution.files import shorten_text
 from handover_marl.geometry.ycb import CLASS_NAMES
 
@@ -25,6 +25,8 @@ _Part = TypeVar("_Part")
 _Config = TypeVar("_Config")
 
 _MAX_WAIT = 60.0  # s
+# Larger set-points of a giver were probably meant in mm or degrees (m, rad).
+_MAX_DISPLACEMENT, _MAX_ROTATION = 3.0, 7.0
 # Constructor parameters that the library fills in; not available as options.
 _RESERVED_PARAMETERS = ("self", "context", "agent", "path", "trust")
 
@@ -244,22 +246,25 @@ def make_giver_action(
         release: Whether to release the object.
 
     Raises:
-        ActionError: Displacement or rotation are not three finite numbers.
+        ActionError: Displacement or rotation are not three finite numbers, or so large that their unit is wrong.
     """
-    displacement = check_vector("displacement", displacement, 3, "a set-point (m)")
-    rotation = check_vector("rotation", rotation, 3, "a rotation vector (rad)")
-    return np.array([rate, *displacement, *rotation, float(release)], dtype=np.float32)
+    move = check_vector("displacement", displacement, 3, "a set-point (m)")
+    turn = check_vector("rotation", rotation, 3, "a rotation vector (rad)")
+    if np.abs(move).max() > _MAX_DISPLACEMENT or np.abs(turn).max() > _MAX_ROTATION:
+        raise ActionError(f"displacement must be in m and rotation in rad, got {move.tolist()} and {turn.tolist()}")
+    speed = check_vector("rate", [rate], 1, "the playback rate minus 1")
+    return np.array([*speed, *move, *turn, float(release)], dtype=np.float32)
 
 
 def milliseconds_from_wait(wait: float) -> int:
-    """Convert a waiting time (s) to whole milliseconds."""
+    """Convert a waiting time, 0 to 60 s, to whole milliseconds; raise OptionError for another value."""
     if isinstance(wait, bool) or not isinstance(wait, (int, float)) or not 0.0 <= wait <= _MAX_WAIT:
         raise OptionError(f"wait must be a time from 0 to {_MAX_WAIT:g} s, got {shorten_text(repr(wait))}")
     return round(1000.0 * wait)
 
 
 def check_policy_class(agent: str, policy_class: Any, name: str) -> None:
-    """Check that an object is a complete policy class for an agent.
+    """Check that an object is a complete policy class for an agent; raise OptionError otherwise.
 
     Args:
         agent: "giver" or "receiver".
@@ -277,8 +282,10 @@ def check_policy_class(agent: str, policy_class: Any, name: str) -> None:
         missing = ", ".join(sorted(policy_class.__abstractmethods__))
         raise OptionError(f"{agent} {name!r} must define {missing}; add the missing methods")
     period = getattr(policy_class, "control_period", None)
-    if isinstance(period, (bool, str)) or not isinstance(period, (int, float, property)):
-        raise OptionError(f"control_period of {agent} {name!r} must be a number (s), got {period!r}")
+    is_time = isinstance(period, (int, float)) and not isinstance(period, bool) and 0.0 < period <= MAX_CONTROL_PERIOD
+    if not is_time and not isinstance(period, property):
+        rule = f"must be a time of at most {MAX_CONTROL_PERIOD:g} s"
+        raise OptionError(f"control_period of {agent} {name!r} {rule}, got {period!r}; for 100 ms set 0.1")
     if not isinstance(getattr(policy_class, "name", None), (str, property)):
         raise OptionError(f'{agent} {name!r} has no name; add the class attribute name = "mine"')
 
@@ -312,7 +319,7 @@ def require_reset(part: _Part | None, receiver_name: str) -> _Part:
 
 
 def override_options(config: _Config, options: Mapping[str, object]) -> _Config:
-    """Return a copy of a policy's configuration with other values of some of its numbers.
+    """Return a copy of a policy's configuration with the numbers in `options`; raise an error for a wrong one.
 
     Args:
         config: Configuration to change, a dataclass.

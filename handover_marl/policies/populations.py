@@ -67,7 +67,7 @@ class Population:
         description: Sentence on its purpose.
         givers: Givers, partners of receivers.
         receivers: Receivers, partners of givers.
-        content_hash: Hash (12 hex digits) of the file's content and of the files whose paths its policies have.
+        content_hash: Hash (12 hex digits) of the file's content and of the files that its policies name.
         path: Path of the file.
     """
 
@@ -183,14 +183,14 @@ def _check_partners(path: Path, partners: Sequence[Partner]) -> None:
 class PopulationPolicy(Policy):
     """Base class of policies that act as a randomly drawn member of a population in each episode.
 
-    The seed of the episode determines the member, and all members are equally likely. Members that need the wrist
-    camera are left out, since all members have the observations of this policy.
+    The seed of the episode determines the member, and all members are equally likely. Members that observe camera
+    data are left out, since all members have the observations of this policy, the state.
 
     Args:
         context: Robot and task, for the members.
         population: Name of a shipped population, or path of a file; see `handover_marl.policies.populations`.
         partners: Families to draw from: "train", "test" or "all".
-        trust: Whether code in policy files may run, and modules that the population names may be imported.
+        trust: Whether modules that the population or its policy files name may be imported.
 
     Attributes:
         members: Policies of the members.

@@ -65,7 +65,7 @@ class PolicyReference:
             import the class.
         file: Path of the policy file, or None.
         options: Keyword arguments of the constructor, sorted by name.
-        trust: Whether code in the policy file may run.
+        trust: Whether modules that the policy file names may be imported.
         label: Name of the policy with its options in tables and result folders; empty until
             `resolve`.
         code_hash: Hash of the policy's code and weights (`hash_policy`); empty until `resolve`.
@@ -98,7 +98,7 @@ class PolicyReference:
     def make(
         self, dataset: Dataset | None = None, config: WorldConfig = OFFICIAL_CONFIG, setup: str | None = None
     ) -> Policy:
-        """Construct the policy that this reference names.
+        """Construct the policy that this reference names; raise PolicyError if its constructor fails.
 
         Args:
             dataset: Robot model, objects and grasps for the policy; default: `open_dataset()`.
@@ -195,7 +195,7 @@ class PolicyReference:
 
 
 def read_policy_file(path: Path) -> bytes:
-    """Return the content of a file that a policy reads, for hashes or for other machines."""
+    """Return the content of a file that a policy reads; raise DataNotFoundError or DataFormatError if that fails."""
     try:
         return read_plain_file(path, _MAX_FILE_BYTES)
     except OSError as error:
@@ -227,7 +227,7 @@ class PolicyBundle:
         return cls(reference, packages, tuple(reference.read_files()))
 
     def unpack(self, folder: Path) -> PolicyReference:
-        """Write the bundle's files to a folder; return a reference to the policy with these files.
+        """Write the bundle's files to a folder; return a reference with them; raise PolicyError if code here differs.
 
         Args:
             folder: Existing folder for the bundle's files.
@@ -261,12 +261,12 @@ PolicyLike: TypeAlias = str | type[Policy] | Policy | PolicyReference | tuple[An
 
 
 def parse_policy(agent: str, policy: PolicyLike, trust: bool = False) -> PolicyReference:
-    """Parse a name, class or instance of a policy into a reference, without constructing it.
+    """Parse a name, class or instance of a policy into a reference; raise UnknownNameError or OptionError if it fails.
 
     Args:
         agent: Agent that needs a policy, "giver" or "receiver".
         policy: A value of the table in this module's docstring.
-        trust: Whether code in a policy file may run.
+        trust: Whether modules that a policy file names may be imported.
     """
     check_boolean("trust", trust)
     extra: Mapping[str, Any] = {}

@@ -39,7 +39,7 @@ def load_registered(agent: str, name: str) -> type | None:
 
 
 def import_reference(kind: str, text: str, valid: Iterable[str] = ("module:name",)) -> Any:
-    """Import the class, function or value that a text `module:name` refers to.
+    """Import the class, function or value that a text `module:name` names; raise UnknownNameError if that fails.
 
     Args:
         kind: Kind of what is imported, e.g. "features", for error messages.
@@ -57,7 +57,7 @@ def import_reference(kind: str, text: str, valid: Iterable[str] = ("module:name"
 def check_stored_reference(
     where: object, kind: str, text: str, trust: bool, registered: Container[str] = (), advice: str = ""
 ) -> None:
-    """Check text from a file, which may name a module of the user's only if the user trusts the file.
+    """Check text from a file: raise UnsafeFileError if it names a module and the user does not trust the file.
 
     Args:
         where: The file, for error messages.

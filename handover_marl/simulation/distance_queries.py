@@ -43,9 +43,9 @@ class DistanceQuery(ABC):
 class ClearanceMonitor:
     """Calculator of the smallest distance between a moving Panda and a moving human hand.
 
-    Distances between collision shapes are slow to measure, so few are: spheres around the links rule out most times,
-    and bounds on the motion of the links rule out times near a measured time. The distance query has a simulation of
-    its own and does not change the world's state.
+    Distances between collision shapes are slow to measure, and are measured at few times only: spheres around the links
+    rule out most times, and bounds on the motion of the links rule out times near a measured one. The distance query
+    has a simulation of its own and does not change the world's state.
 
     Args:
         panda_urdf: Model of the robot.
@@ -127,7 +127,7 @@ class _MovingSpheres:
             self._rotations = np.concatenate([self._rotations, np.zeros((count, 1, 9))], axis=1)
 
     def bound_motion(self, time: int, others: npt.NDArray[np.int_]) -> Array:
-        """Return upper bounds (k,) in m on the motion of the links' points between a time and k others, by index."""
+        """Return upper bounds (k,) in m on how far a link point moves from index `time` to k indices `others`."""
         shifts = np.linalg.norm(self.centers[others] - self.centers[time], axis=-1)
         # A rotation by an angle moves a point at distance r by 2 r sin(angle / 2).
         swings = np.linalg.norm(self._rotations[others] - self._rotations[time], axis=-1) / np.sqrt(2.0)
@@ -136,7 +136,7 @@ class _MovingSpheres:
 
 
 def _bound_distances(first: _MovingSpheres, second: _MovingSpheres) -> Array:
-    """Return lower bounds (n,) on the distance between two sets of moving spheres (m)."""
+    """Return lower bounds (n,) in m, at least 0, on the distance between two sets of moving spheres at n times."""
     between = np.linalg.norm(first.centers[:, :, None] - second.centers[:, None], axis=-1)
     gaps: Array = (between - first.radii[:, None] - second.radii).min(axis=(1, 2))
     return np.maximum(gaps, 0.0)

@@ -25,7 +25,7 @@ DEVICES = (CPU, CUDA)
 
 
 def check_physics(physics: str) -> None:
-    """Check that a kind of physics exists and its engine is installed."""
+    """Raise `UnknownNameError` for an unknown kind of physics, and `OptionError` if its engine is not installed."""
     check_name("physics", physics, PHYSICS)
     if physics != MUJOCO:
         require_pybullet(f"physics={physics!r}", "take physics='mujoco' (--physics mujoco)")
@@ -69,7 +69,7 @@ class BatchBackend:
 
 
 def check_backend(backend: BatchBackend) -> None:
-    """Check that a backend exists, and that its packages and its device are available."""
+    """Raise `UnknownNameError` for an unknown backend or device, `OptionError` if packages or device are missing."""
     check_name("backend", backend.name, BACKENDS)
     check_name("device", backend.device, DEVICES)
     if backend.name == THREADS:

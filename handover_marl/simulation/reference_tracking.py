@@ -114,7 +114,7 @@ class BodyTrajectory:
         return bool(self.present[row + 2])
 
     def get_joints(self, row: int) -> Array:
-        """Return the joint positions (d,) after step `row` (m, rad); see `is_present_after`."""
+        """Return the joint positions (d,) in m and rad after step `row`, which counts as in `is_present_after`."""
         joints: Array = self.joints[row + 2]
         return joints
 
@@ -124,7 +124,7 @@ TrackedReference = tuple[BodyTrajectory, npt.NDArray[np.float32], npt.NDArray[np
 
 
 def track_references(references: Sequence[TrackedReference]) -> None:
-    """Compute and store the trajectories of bodies under new reference motions, from the end of the current ones on.
+    """Compute and store trajectories under new reference motions; each continues the body's current trajectory.
 
     A trajectory does not depend on how its steps are divided into calls, nor on the other bodies.
     """

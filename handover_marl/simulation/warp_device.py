@@ -29,7 +29,7 @@ class WarpDevice:
 
     @contextlib.contextmanager
     def use(self) -> Iterator[None]:
-        """Make Warp and PyTorch use the device in a `with` block; on a GPU in one stream, which keeps their order."""
+        """Make Warp and PyTorch use the device in a `with` block; on a GPU in one stream, which keeps work in order."""
         with contextlib.ExitStack() as stack:
             stack.enter_context(warp.ScopedDevice(self._name))
             if self.stream is not None:

@@ -101,7 +101,7 @@ class RolloutContacts(NamedTuple):
 
 
 class RolloutEnd(NamedTuple):
-    """Steps of a rollout of n worlds that count by the rules of the task: those up to the first release or end.
+    """Result of the task's rules for a rollout of n worlds; in each, steps count up to the first release or end.
 
     Attributes:
         steps: Number (n,) of steps that count in each world; 0 for worlds that had ended before.
@@ -247,7 +247,7 @@ class World(ABC):
 
     @abstractmethod
     def read_agent_joints(self) -> AgentJoints:
-        """Return the current joint positions of robot (9,) and human hand (51,), or None, float32 (rad, m)."""
+        """Return the current joint positions of robot and human hand, float32 (rad, m); `hand` is None if absent."""
 
     @abstractmethod
     def read_joints_float64(self) -> npt.NDArray[np.float64]:
@@ -258,7 +258,7 @@ class World(ABC):
         """Return the joint positions (n, 6) of n objects: xyz (m), intrinsic XYZ Euler angles (rad), float32."""
 
     def read_joint_snapshot(self) -> JointSnapshot:
-        """Return the current joint positions of robot (9,), hand (51,) or None, and objects (n, 6), float32."""
+        """Return the current joint positions of robot (9,), hand (51,; None if absent) and objects (n, 6), float32."""
         return JointSnapshot(*self.read_agent_joints(), self.read_object_joints())
 
     def render(self, camera: CameraConfig) -> npt.NDArray[np.uint8]:
@@ -309,7 +309,8 @@ class RolloutWorld(World):
         judge: JudgeFunction,
         rules: ProtocolConfig,
     ) -> npt.NDArray[np.int_]:
-        """Simulate n worlds with reference motions for `steps` steps, or until their episodes end; return step counts.
+        """Simulate n worlds for `steps` steps, or until their episodes end; return the step counts (n,).
 
-        See `handover_marl.simulation.worlds.Worlds.rollout`; `robot_targets` are nine float32 values for each world.
+        The worlds must have reference motions. `robot_targets` has nine joint targets (rad, m; float32 values) for each
+        world. `judge` and `rules` are as in `handover_marl.simulation.worlds.Worlds.rollout`.
         """

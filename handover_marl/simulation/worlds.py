@@ -20,7 +20,7 @@ class Worlds(ABC):
 
     @abstractmethod
     def reset(self, row: int, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
-        """Load a scene into world `row`; set hand and objects to `start` (of one row), the robot to `robot_joints`."""
+        """Load a scene into the world with index `row`, and set all bodies to their start; see `World.reset`."""
 
     @abstractmethod
     def rollout(
@@ -77,7 +77,7 @@ class HostWorlds(Worlds):
         self._n_objects = [0] * len(worlds)
 
     def reset(self, row: int, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
-        """Load a scene into world `row`; set hand and objects to `start` (of one row), the robot to `robot_joints`."""
+        """Load a scene into the world with index `row`, and set all bodies to their start; see `World.reset`."""
         self._worlds[row].reset(scene, start, robot_joints)
         self._n_objects[row] = start.objects.shape[1]
 

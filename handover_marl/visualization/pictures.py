@@ -83,7 +83,7 @@ class FrameRecorder(EpisodeCallback):
 
 
 def prepare_output_path(out: str | os.PathLike[str], suffixes: Sequence[str]) -> Path:
-    """Create the folder of an output file, check that it is writable, and return the file's path."""
+    """Check suffix and packages of an output file, create its folder, check that it is writable; return its path."""
     path = check_path("out", out)
     suffix = path.suffix.lower()
     if suffix not in suffixes:

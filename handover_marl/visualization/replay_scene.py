@@ -231,7 +231,7 @@ def _add_planned_path(scene: "SceneApi") -> _Show:
 
 
 def _add_observed_points(scene: "SceneApi", log: ReplayRecorder) -> _Show:
-    """Add the latest observed points of object and person's hand; return the function that shows those at a frame."""
+    """Add observed points of object and person's hand; return the function that shows the last ones before a frame."""
     steps = np.array([step for step, *_ in log.clouds])
     snapshots = [snapshot for _, snapshot, *_ in log.clouds]
     hands = compute_robot_link_poses(log, snapshots, (HAND_LINK,))[:, 0] if log.clouds else np.zeros((0, 7))
@@ -264,7 +264,7 @@ def _add_points(scene: "SceneApi", name: str, color: Color, size: float) -> Call
 
 
 def _add_status(scene: "SceneApi", log: ReplayRecorder) -> _Show:
-    """Add text on time and state of the episode above the goal region; return the function that shows a frame's."""
+    """Add text on time and state of the episode above the goal region; return the function that updates it."""
     x, y, z = log.config.protocol.goal_center
     set_properties = _make_setter(
         scene.add_label("/status", "", position=(x, y, z + _LABEL_HEIGHT), anchor="bottom-center")

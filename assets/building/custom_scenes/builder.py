@@ -77,7 +77,7 @@ class CustomSceneFolder:
             return
         self._name = check_file_name("name", self.folder.name if name is None else name)
         if self.folder.exists() and (not self.folder.is_dir() or any(self.folder.iterdir())):
-            raise ResultsError(f"{self.folder} is not empty and has no {SCENE_FILE}; choose another folder")
+            raise ResultsError(f"{self.folder} must be a new folder, or one with {SCENE_FILE}; choose another one")
 
     @property
     def content(self) -> SceneFile:
@@ -233,8 +233,7 @@ class CustomSceneFolder:
         Args:
             name: Name of the setup; an existing one is replaced.
             by: "object" or "person", which are then in one split only, or "random".
-            val: Names of the objects or persons in the val split; or a share (0 to 1) of the objects, persons or
-                scenes, which are then drawn at random.
+            val: Names of the val split's objects or persons, or a share (0 to 1) of all, which is drawn at random.
             test: Names or share for the test split, as in `val`.
             seed: Random seed of drawn shares.
 
@@ -244,6 +243,7 @@ class CustomSceneFolder:
         Raises:
             OptionError: The name is reserved, a share is out of range, or the train split would be empty.
             UnknownNameError: There is no such way to divide scenes, or no such object or person.
+            ResultsError: The folder does not exist, or cannot be written.
         """
         check_file_name("name", name, RESERVED_SETUPS)
         if not self.folder.is_dir():

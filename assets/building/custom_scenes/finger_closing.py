@@ -36,7 +36,7 @@ _SHIFTS = sorted(
 def close_hand(table: MotionTable, solid: Solid, hand: int, side: Side) -> tuple[MotionTable, Array]:
     """Return a recording, and angles (n, 45) in rad of fingers that close on the object until it is picked up.
 
-    `hand` is the number of a shipped hand, n that of the rows with the wrist. The returned recording equals `table`,
+    `hand` is the number of a shipped hand, n the number of rows with the wrist. The returned recording equals `table`,
     but its wrist is moved by up to `MAX_SHIFT` if the hand would be inside of the object.
     """
     if table.wrist is None:

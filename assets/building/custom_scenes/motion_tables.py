@@ -1,12 +1,12 @@
-"""Tables of recorded poses, as CSV and NPZ files at any rate, and their conversion to trajectories at 1 kHz.
+"""Tables of recorded poses in CSV and NPZ files, with any sampling rate, and their conversion to 1 kHz trajectories.
 
 A CSV file has one header line with the columns `time`, `object_x`, `object_y`, `object_z`, `object_qx`, `object_qy`,
 `object_qz`, `object_qw`, the same for `wrist` and for every other object by its class name, and optionally
 `finger_0` to `finger_44`. An NPZ file has the arrays `time` (T,), `object` (T, 7), `wrist` (T, 7), one array (T, 7)
-for each other object by its class name, and `fingers` (T, 45). Poses are position and quaternion.
+for each other object by its class name, and `fingers` (T, 45). Poses are position and quaternion (see `MotionConfig`).
 
 CSV files that OptiTrack's Motive exports, with several header lines, are read too. Their rigid bodies must have the
-names `object`, `wrist` and those of the other objects' classes.
+names `object`, `wrist` and the class names of the other objects.
 """
 
 import csv
@@ -118,7 +118,7 @@ class MotionTable:
 
 
 def read_motion_table(source: "str | Path | Mapping[str, npt.ArrayLike]", config: MotionConfig) -> MotionTable:
-    """Read recorded poses in the form of `config` from a CSV or NPZ file, or from arrays named as in NPZ files."""
+    """Read recorded poses, with the units of `config`, from a file or arrays; faulty ones raise `DataFormatError`."""
     if isinstance(source, Mapping):
         name, arrays = "the motion", dict(source)
     else:
@@ -150,7 +150,7 @@ def _read_file(path: Path, config: MotionConfig) -> tuple[dict[str, Any], Motion
 
 
 def _parse_motive(path: Path, text: str, config: MotionConfig) -> tuple[dict[str, Any], MotionConfig]:
-    """Return times and rigid bodies' poses (T, 7) in a CSV file of Motive, formats 1.2 to 1.25, and its units."""
+    """Return times and poses (T, 7) by name from a CSV file of Motive 1.2 to 1.25, and `config` with its units."""
     lines = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip(", ")]
     rows = list(csv.reader(line for _, line in lines))
     settings = dict(zip(rows[0][::2], rows[0][1::2], strict=False))
@@ -224,7 +224,7 @@ def _parse_csv(path: Path, text: str) -> dict[str, Any]:
 
 
 def _parse_rows(path: Path, lines: Sequence[tuple[int, str]], separator: str, columns: Sequence[str]) -> Array:
-    """Return the numbers (T, c) in lines, each given after its number in the file; empty cells are NaN."""
+    """Return the numbers (T, c) in `lines`, pairs of a line's number in the file and its text; empty cells are NaN."""
     values = np.empty((len(lines), len(columns)))
     for row, (number, line) in enumerate(lines):
         cells = line.split(separator)
@@ -314,7 +314,7 @@ def _read_time(time: Array, config: MotionConfig, repairs: list[str]) -> Array:
 
 
 def _read_poses(key: str, poses: Array, time: Array, first: int, config: MotionConfig, repairs: list[str]) -> Array:
-    """Return the poses (n, 7) of the body `key` in the world frame, without gaps; `first` is their first row."""
+    """Return poses (n, 7) of body `key` in the world, with gaps filled; `poses[0]` is row `first` of the recording."""
     if config.quaternion == "wxyz":
         poses[:, 3:] = np.roll(poses[:, 3:], -1, axis=1)
     poses[:, :3] *= _LENGTHS[config.length]
@@ -334,7 +334,7 @@ def _read_poses(key: str, poses: Array, time: Array, first: int, config: MotionC
 
 
 def _fill_gaps(key: str, poses: Array, time: Array, first: int, config: MotionConfig, repairs: list[str]) -> Array:
-    """Return the poses (n, 7) of the body `key`, with missing rows between valid rows interpolated."""
+    """Interpolate missing poses of body `key`, (n, 7), and note it in `repairs`; `ValueError` if a gap is too long."""
     is_valid = np.asarray(np.isfinite(poses).all(axis=1))
     valid, missing = np.flatnonzero(is_valid), np.flatnonzero(~is_valid)
     if not len(missing):

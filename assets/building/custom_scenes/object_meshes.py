@@ -84,7 +84,7 @@ class ObjectMesh:
 
 
 def make_object_mesh(source: Path | trimesh.Trimesh, config: MeshConfig) -> ObjectMesh:
-    """Read a mesh, from a file of any format that trimesh reads, repair it, and divide it into convex parts."""
+    """Read a mesh with trimesh, repair it and divide it into convex parts; `DataFormatError` if it is no solid body."""
     require_modules("an own object", "assets,import", "coacd", "trimesh")
     name = str(source) if isinstance(source, Path) else "the mesh"
     mesh, repairs = _repair_mesh(_read_mesh(source), config, name)

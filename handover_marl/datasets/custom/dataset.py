@@ -44,9 +44,10 @@ def get_motion_path(folder: Path, scene_id: int) -> Path:
 class CustomDataset(Dataset):
     """Data set of the custom scenes in a folder, see `handover_marl.datasets.custom.scene_file`.
 
-    The setups are "all", in which each split has every scene, and those in `scenes.json`. `robot` is as in `Dataset`.
+    The setups are "all", in which each split has every scene, and the setups in `scenes.json`. `robot`: see `Dataset`.
 
     Attributes:
+        folder: Path of the folder.
         content: Content of `scenes.json`.
     """
 
@@ -61,7 +62,7 @@ class CustomDataset(Dataset):
         self._read_grasps = lru_cache(maxsize=None)(self._load_grasps)
 
     def list_scenes(self, setup: str | None, split: str) -> tuple[int, ...]:
-        """Return the scene numbers of a split of a setup, ascending; raise `UnknownNameError` if the split is empty."""
+        """Return a split's scene numbers; an empty split is an `UnknownNameError`, no scenes a `DataNotFoundError`."""
         check_name("split", split, SPLITS)
         setup = self.resolve_setup(setup)
         if not self.n_scenes:

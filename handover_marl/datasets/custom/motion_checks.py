@@ -27,14 +27,18 @@ _MAX_SINK = 0.03  # m below the table's surface
 _MAX_START = 0.05  # m above what the handed-over object stands on
 _MAX_GRIP = 0.2  # m between the base of a hand and the nearest vertex of an object that it holds
 _MAX_HAND_DISTANCE = 1.0  # m, the smallest in a scene, between the hand's base and the handed-over object
-_UNIT_ADVICE = "remove lost tracks, or pass the units (length='mm', time='ms') or the frame"
+_UNIT_ADVICE = (
+    "remove lost tracks, or pass the units (length='mm', time='ms'; in a file of Motive, correct its first line) or "
+    "the frame"
+)
 _FRAME_ADVICE = "check frame: 'world' has its origin 0.92 m below the table's surface, 'table' on it; z points up"
 
 
 def check_objects(objects: Float32, bodies: Mapping[str, Array]) -> None:
-    """Check the motion of the objects of a scene: (T, n, 6) positions (m), intrinsic XYZ Euler angles (rad) at 1 kHz.
+    """Raise `DataFormatError` if the objects' motion has a wrong duration, jumps, is far away, or ends below the table.
 
-    `bodies` has the vertices (v, 3) of the n objects in their frames (m) by name, the handed-over one first.
+    `objects` (T, n, 6) has positions (m) and intrinsic XYZ Euler angles (rad) in the world at 1 kHz. `bodies` has the
+    vertices (v, 3) of the n objects in their own frames (m) by name, the handed-over object first.
     """
     low, high = DURATION
     if not low <= (len(objects) - 1) / 1000.0 <= high + 1e-3:
@@ -55,9 +59,9 @@ def check_objects(objects: Float32, bodies: Mapping[str, Array]) -> None:
 def check_motion(
     objects: Float32, hand: Float32, first: int | None, last: int | None, bodies: Mapping[str, Array]
 ) -> None:
-    """Check the motion of the objects, as `check_objects`, and of the hand, (T, 51), as in `Scene`.
+    """Check the motion of the objects (see `check_objects`) and of the hand; raise `DataFormatError` for a fault.
 
-    `first` and `last` are the first and last frame with the hand, or None without a hand.
+    `hand` (T, 51) is as `Scene.hand_dof`; `first` and `last` are the first and last frame with the hand, None without.
     """
     check_objects(objects, bodies)
     vertices, *others = (
@@ -87,13 +91,13 @@ def check_motion(
 
 
 def _read_poses(dof: Float32) -> Array:
-    """Return the poses (T, 7) of a body with motion (T, 6)."""
+    """Return poses (T, 7), xyz (m) and xyzw, for positions (m) and intrinsic XYZ Euler angles (rad), (T, 6)."""
     values = dof.astype(np.float64)
     return np.concatenate([values[:, :3], quaternions_from_euler(values[:, 3:])], axis=1)
 
 
 def _check_body(name: str, dof: Float32) -> Array:
-    """Return the poses (T, 7) of a body with motion (T, 6) after a check that it is near and does not jump."""
+    """Return the poses (T, 7) of a body with motion (T, 6); raise `DataFormatError` if it is far away or jumps."""
     poses = _read_poses(dof)
     distance = float(np.linalg.norm(poses[:, :3], axis=1).max())
     if distance > _MAX_DISTANCE:

@@ -176,7 +176,7 @@ class SceneFile:
 
 
 def check_file_name(argument: str, name: object, reserved: Collection[str] = ()) -> str:
-    """Return a name that can be part of a file name and is not reserved; else raise `OptionError` for `argument`."""
+    """Return `name` if it can be part of a file name and is not reserved; else raise `OptionError` about `argument`."""
     if not isinstance(name, str) or not _NAME.fullmatch(name):
         raise OptionError(
             f"{argument} must be 1 to 64 letters, digits, '_', '.' or '-', got {shorten_text(repr(name))}; rename it"
@@ -187,7 +187,7 @@ def check_file_name(argument: str, name: object, reserved: Collection[str] = ())
 
 
 def read_scene_file(folder: Path) -> SceneFile:
-    """Read `scenes.json` of a folder."""
+    """Read `scenes.json` of a folder; raise `DataNotFoundError` if it is missing, `DataFormatError` if damaged."""
     path = folder / SCENE_FILE
     if not path.exists():
         raise DataNotFoundError(

@@ -82,9 +82,9 @@ _COPIED_TABLE_FILES = ("table.obj", "table.mtl", "table.png")
 
 
 def write_missing_files(folder: Path, files: Mapping[str, bytes], replace_stand_ins: bool = False) -> None:
-    """Write files, given as content by path in the folder, if they do not exist; existing ones must be equal.
+    """Write the files that a folder lacks; raise `ResultsError` if a file exists with other content.
 
-    With `replace_stand_ins`, existing files that are marked as stand-ins are replaced.
+    `files` has contents by path in the folder. With `replace_stand_ins`, files marked as stand-ins are replaced.
     """
     for parent in {(folder / name).parent for name in files}:
         remove_stale_temporaries(parent)
@@ -148,7 +148,7 @@ def find_table_folder() -> Path:
 
 
 def write_table_assets(assets: Path) -> None:
-    """Write the folder `table/` in `assets`: a URDF made from PyBullet's as in HandoverSim, its mesh and texture."""
+    """Write the folder `table/` in `assets`: PyBullet's mesh and texture, and a URDF of HandoverSim's table size."""
     source = find_table_folder()
     text = (source / "table.urdf").read_bytes().decode()
     for old, new, times in _TABLE_REPLACEMENTS:
@@ -173,7 +173,7 @@ _PANDA_MESH_FOLDER = "stand_in"
 
 @contextmanager
 def open_folder(source: Path) -> Iterator[Path]:
-    """Yield `source` if it is a folder, else a temporary folder with the content of a tar archive."""
+    """Yield `source` if it is a folder, else a temporary folder with the content of the tar archive `source`."""
     with tempfile.TemporaryDirectory() as folder:
         if not source.is_dir():
             with report_damage(source, "tar archive", _ARCHIVE_ADVICE):
@@ -184,10 +184,10 @@ def open_folder(source: Path) -> Iterator[Path]:
 
 
 def install_third_party(source: Path, assets: Path) -> list[str]:
-    """Install third-party files from HandoverSim's archive, or the folder that it was unpacked into.
+    """Install third-party files in `assets` from HandoverSim's archive, or from the folder that it was unpacked into.
 
-    The files may be at any depth, but must be in one tree; an archive is unpacked and checked before a file is written.
-    Returns warnings about files whose content has another checksum than the official one.
+    The files may be at any depth, but their tree must be there just once, else `DataFormatError` is raised and nothing
+    is written. Returns at most one warning, about files whose checksum is not the official one.
     """
     unknown = []
     with open_folder(source) as folder:
@@ -208,7 +208,7 @@ def install_third_party(source: Path, assets: Path) -> list[str]:
 
 
 def _match_paths(source: Path, paths: Iterable[Path]) -> dict[Path, str]:
-    """Return, by relative path in the source, the path in `assets/` of every third-party file among these paths."""
+    """Map paths of third-party files, relative to `source`, to their paths in `assets/`; leave out other files."""
     wanted = read_third_party_checksums()
     roots: defaultdict[Path, dict[Path, str]] = defaultdict(dict)
     for path in paths:

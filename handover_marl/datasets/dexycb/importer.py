@@ -83,7 +83,7 @@ def import_dexycb(
     workers: int | None = None,
     progress: bool = True,
 ) -> ImportReport:
-    """Import DexYCB into a data folder, equal to the output of HandoverSim's scripts bit for bit.
+    """Import DexYCB into a data folder; scenes and hands equal the output of HandoverSim's scripts bit for bit.
 
     Existing files are compared and kept, so an interrupted import can be resumed. Missing or damaged
     recordings are reported; other recordings keep their official scene numbers.
@@ -98,6 +98,10 @@ def import_dexycb(
         scenes: Scene numbers to import; default: all.
         workers: Number of worker processes; default: one per core.
         progress: Whether to show a progress bar on stderr.
+
+    Raises:
+        DataNotFoundError, DataFormatError: MANO's files or the calibration folder are missing or damaged.
+        ResultsError: A file cannot be written, or a model file exists with other content.
     """
     n_workers = resolve_worker_count(workers)
     find_table_folder()
@@ -139,7 +143,7 @@ def import_dexycb(
 
 
 def _import_sequence(models: dict[str, ManoModel], betas: BetasBySubject, out: Path, sequence: SequenceFolder) -> str:
-    """Import a recording; return an error message or ""."""
+    """Import a recording; return an error message or "". A folder that cannot be written raises `ResultsError`."""
     try:
         import_scene(sequence, models, betas, out)
     except ResultsError:

@@ -86,7 +86,7 @@ class ManoModel:
 
 
 def read_mano_model(path: Path, side: str) -> ManoModel:
-    """Read the hand model MANO_RIGHT.pkl or MANO_LEFT.pkl of mano_v1_2.zip, which does not state its `side`."""
+    """Read the MANO_*.pkl of a `side` in mano_v1_2.zip; raise `DataNotFoundError` or `DataFormatError` for a fault."""
     with report_damage(path, "MANO model", "copy it from mano_v1_2.zip, which MANO's site has for registered users"):
         content = load_restricted(read_plain_file(path), _ALLOWED)
         return ManoModel(side, *(_extract_array(key, content[key]) for key in _SHAPES))

@@ -79,7 +79,7 @@ def read_sequence_names() -> MappingProxyType[str, tuple[str, ...]]:
 
 
 def find_sequences(raw: Path) -> tuple[list[SequenceFolder], list[str]]:
-    """Find all recordings in a folder of raw DexYCB.
+    """Find all recordings in a folder of raw DexYCB; raise `DataNotFoundError` if it has no `calibration/`.
 
     Returns:
         Recordings in the order of their scene numbers, and messages on what is missing, with path, reason and advice.
@@ -177,8 +177,8 @@ def compute_hand_trajectory(poses: Float32, tag: TagFrame, model: ManoModel, wri
 
     A row is base position (m), unwrapped base angles and finger angles (rad, intrinsic XYZ); zero without a hand. The
     keyframes `poses` (F, 51) float32 are in DexYCB's world frame: rotation vector (rad), 45 coefficients of the finger
-    pose, translation (m); rows without a hand, at both ends only, are zero. `wrist` is the root joint (3,) at rest (m)
-    for the hand's shape in this recording, and `base` the root joint of the articulated body.
+    pose, translation (m); rows without a hand are zero, and only at start and end. `wrist` is the root joint (3,) at
+    rest (m) for the hand's shape in this recording, and `base` (3,) (m) the root joint of the articulated hand.
     """
     present = np.flatnonzero(poses.any(axis=1))
     span = KeyframeSpan(int(present[0]), int(present[-1]))
@@ -254,10 +254,10 @@ def import_scene(
 ) -> None:
     """Import one recording: write the two files of its scene to `dex-ycb-cache/` in a data folder.
 
-    Existing files must be equal. The motion is in the frame of the AprilTag on the table at 1 kHz: `pose_y` (T, n, 6),
-    position (m) and intrinsic XYZ Euler angles (rad) of the objects, and `pose_m` (T, 1, 51), joint positions of the
-    hand: 3 positions (m), 48 angles (rad). `models` are MANO's hand models by side, `first_betas` is from
-    `find_first_betas`.
+    Existing files are kept; if they differ, `DataFormatError` is raised. The motion is in the frame of the AprilTag on
+    the table at 1 kHz: `pose_y` (T, n, 6), position (m) and intrinsic XYZ Euler angles (rad) of the objects, and
+    `pose_m` (T, 1, 51), 3 positions (m) and 48 angles (rad) of the hand's joints. `models` are MANO's hand models by
+    side, `first_betas` is from `find_first_betas`, and `out` is the data folder.
     """
     meta, world_from_tag, betas, objects, hand = read_sequence(sequence)
     (side,) = meta["mano_sides"]

@@ -1,1 +1,1 @@
-"""Generated handovers: as many scenes as wanted, each a pure function of a seed and its number."""
+"""Generated handovers: as many scenes as wanted, each a pure function of its number and the data set's parameters."""

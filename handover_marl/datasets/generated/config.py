@@ -1,4 +1,4 @@
-"""Configuration of generated scenes, the data set's name that describes it, and their seeds and splits."""
+"""Configuration of generated scenes, its text form in names of data sets, and the scenes' seeds and splits."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -43,7 +43,7 @@ _LIMITS: Final = {
 
 @dataclass(frozen=True)
 class GeneratedConfig:
-    """Configuration of generated scenes.
+    """Configuration of generated scenes; a value that is not allowed raises `OptionError` or `UnknownNameError`.
 
     Attributes:
         n: Number of scenes. Scenes do not depend on it: more scenes continue the same sequence.
@@ -109,7 +109,7 @@ FAMILY_DEFAULTS: Final[Mapping[str, GeneratedConfig]] = MappingProxyType(
 
 
 def parse_generated_config(argument: str) -> GeneratedConfig:
-    """Parse a configuration such as "n=100000,seed=7,family=hard"; omitted values are defaults."""
+    """Parse text such as "n=100,family=hard"; omitted values are the family's defaults, wrong ones raise an error."""
     values: dict[str, Any] = {}
     defaults = vars(GeneratedConfig())
     for entry in argument.split(","):
@@ -136,7 +136,7 @@ def make_seed(config: GeneratedConfig, kind: ItemKind, number: int, attempt: int
 
 
 def find_splits(numbers: npt.ArrayLike, of_objects: bool = False) -> npt.NDArray[np.int64]:
-    """Return the splits of scenes (or objects) with numbers (n,), as indices into `SPLITS`: a hash of each number."""
+    """Return the splits of scenes (or objects) with numbers (n,), as indices into `SPLITS`, by a hash of the number."""
     words = np.asarray(numbers, dtype=np.uint64) + np.uint64(_OBJECT_OFFSET if of_objects else 0)
     # SplitMix64 (Steele, Lea and Flood, 2014).
     with np.errstate(over="ignore"):

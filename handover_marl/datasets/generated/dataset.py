@@ -93,7 +93,7 @@ class GeneratedDataset(HandoverGenerator):
         return tuple(list_split(split, self.config.n).tolist())
 
     def find_side(self, scene_id: int) -> str:
-        """Return the hand of a scene's giver without generating the scene."""
+        """Return the hand of a scene's giver, "right" or "left", without generating the scene."""
         self.check_scene_id(scene_id)
         return _draw_side(self.config, scene_id)
 
@@ -152,7 +152,7 @@ def _generate_scene(config: GeneratedConfig, scene_id: int) -> GeneratedHandover
 
 
 def _draw_giver(config: GeneratedConfig, scene_id: int, split: str) -> tuple[SimulatedGiver, Seed]:
-    """Draw object and person until the hand can grasp the object; return them and the seed of the rest of the scene."""
+    """Draw an object and a person who can grasp it, or raise `HandoverError`; return them and the scene's seed."""
     side = _draw_side(config, scene_id)
     for attempt in range(_MAX_ATTEMPTS):
         seed = make_seed(config, "scene", scene_id, attempt)
@@ -203,7 +203,7 @@ def _list_object_numbers(count: int, split: str) -> npt.NDArray[np.int64]:
 
 @lru_cache(maxsize=1024)
 def _load_shape(config: GeneratedConfig, number: int) -> tuple[ProceduralObject, Solid]:
-    """Return the procedural object with a number from 0, and its solid; random numbers depend on the number only."""
+    """Return the procedural object with a number from 0, and its solid; both depend only on `config` and the number."""
     item = draw_object(open_stream(make_seed(config, "object", number), "object"), config.kind_weights)
     return item, Solid(map(make_surface, item.parts))
 
@@ -215,7 +215,7 @@ def _open_grasp_stream(config: GeneratedConfig, number: int) -> tuple[RandomStre
 
 @lru_cache(maxsize=256)
 def _draw_few_grasps(config: GeneratedConfig, number: int) -> Array | None:
-    """Return object-frame poses (n, 7) of the Panda's hand link at a few robot grasps; None if few are found."""
+    """Return hand link poses (n, 7), xyz (m) and xyzw, at a few robot grasps in the object's frame; None if too few."""
     random, solid = _open_grasp_stream(config, number)
     grasps = draw_robot_grasps(random, solid, _N_SKETCH_POINTS, _N_SKETCH_GRASPS, is_varied=False)
     return hand_poses_from_grasps(grasps) if len(grasps) >= _MIN_SKETCH_GRASPS else None
@@ -245,7 +245,8 @@ def write_hand_model(person: Person, side: Side) -> Path:
 def _write_folder(content: str, name: str, urdf: str, make_files: Callable[[], Mapping[str, bytes | str]]) -> Path:
     """Write a model to the cache unless it exists, and return the path of its URDF, which is written last.
 
-    The path has a hash of the text `content`, which determines the files. Several processes may write the same files.
+    The path has a hash of the text `content`, which determines the files that `make_files` returns by name. Several
+    processes may write the same files. A folder that cannot be written raises `DataNotFoundError`.
     """
     digest = hashlib.sha256(f"{_FORMAT} {content}".encode()).hexdigest()[:20]
     root = get_cache_folder("generated")

@@ -66,9 +66,9 @@ def draw_human_grasps(
 ) -> HumanGrasps | None:
     """Draw grasps of an object by one human hand, sorted by wrist distance; None if none is found.
 
-    In every grasp the hand is clear of the table if one of the object's axes +x, -x, +y, -y, +z, -z with a positive
-    weight in `up_axes` points up. In each of up to `n_rounds` rounds, grasps are tried from `n_pairs` surface points,
-    and the fingers of up to `n_closed` hands are closed, until `n_grasps` are found.
+    The open hand is clear of the table in at least one resting pose: with one of the object's axes +x, -x, +y, -y, +z,
+    -z up that has a positive weight in `up_axes`. In each of up to `n_rounds` rounds, grasps are tried from `n_pairs`
+    surface points, and the fingers of up to `n_closed` hands are closed, until at least `n_grasps` grasps are found.
     """
     templates = make_hand_templates(size)
     target = solid.mirror() if side == "left" else solid
@@ -114,7 +114,7 @@ class ClosedHands(ArrayBatch):
 def _sample_open_hands(
     random: RandomStream, solid: Solid, templates: HandTemplates, n_pairs: int
 ) -> tuple[Palms, Ints]:
-    """Sample open hands that do not touch the object: poses of n palms, and their indices (n,) of `templates`."""
+    """Sample open hands clear of the object; return palm poses, and postures as indices (n,) in `templates`."""
     thumb_side, finger_side, cosines = solid.sample_antipodal_points(random, n_pairs, _MAX_WIDTH, 0.18)
     noise, draws = random.uniforms(n_pairs, 6), random.uniforms(n_pairs, 4)
     across = finger_side - thumb_side
@@ -138,14 +138,14 @@ def _sample_open_hands(
 
 
 def _find_lowest_points(templates: HandTemplates, palms: Palms, rows: Ints, directions: Array) -> Array:
-    """Return the lowest coordinates (n, k) in m of open hands with templates `rows` (n,) along directions (k, 3)."""
+    """Return the lowest coordinates (n, k) in m, along k directions (k, 3), of n hands in open postures `rows` (n,)."""
     palm = np.broadcast_to(templates.palm[0], (len(rows), *templates.palm[0].shape))
     centers = np.concatenate([palm, templates.path[rows, 0].reshape(len(rows), templates.radii.size, 3)], axis=1)
     return np.asarray((palms.transform(centers) @ directions.T).min(axis=1))
 
 
 def find_free_hands(solid: Solid, templates: HandTemplates, palms: Palms, rows: Ints) -> Ints:
-    """Return the indices of hands, in open postures `rows` (n,) of `templates`, that are outside of the object."""
+    """Return the indices of the hands, in open postures `rows` (n,) of `templates`, that are clear of the object."""
     # A few spheres of thumb and index finger reject five of six hands.
     digits, spheres = _PROBED_SPHERES
     points = palms.transform(templates.path[rows[:, None], 0, digits, spheres])
@@ -163,7 +163,7 @@ def find_free_hands(solid: Solid, templates: HandTemplates, palms: Palms, rows: 
 
 
 def measure_body(solid: Solid, palms: Palms, centers: Array, radii: Array) -> Array:
-    """Return smallest distances (n,) in m between the object and spheres that are fixed to each of n palms."""
+    """Return smallest distances (n,) in m of the object from spheres (k, 3), radii (k,), in the frames of n palms."""
     points = palms.transform(np.broadcast_to(centers, (len(palms), *centers.shape)))
     return np.asarray((solid.compute_distances(points) - radii).min(axis=1))
 
@@ -172,6 +172,7 @@ def close_fingers(solid: Solid, templates: HandTemplates, palms: Palms, rows: In
     """Close each digit of n open hands until one of its phalanges touches, then only the joints beyond that phalanx.
 
     The hands have poses `palms` in the object's frame and the open postures of `templates` with indices `rows` (n,).
+    A digit that misses the object stays slightly bent.
     """
     n = len(rows)
     points = palms.transform(templates.path[rows])
@@ -194,7 +195,7 @@ def close_fingers(solid: Solid, templates: HandTemplates, palms: Palms, rows: In
 def _close_end_joints(
     solid: Solid, templates: HandTemplates, palms: Palms, rows: Ints, bends: Array, phalanx: Ints
 ) -> Array:
-    """Return flexions `bends` (n, 5, 3) (rad) with the joints beyond the touching `phalanx` (n, 5) closed further."""
+    """Return flexions `bends` (n, 5, 3) (rad), with joints beyond the touching `phalanx` (n, 5) closed to contact."""
     n, count = len(rows), _N_DISTAL_STEPS
     beyond = np.arange(3) > phalanx[..., None]
     steps = np.arange(count)[:, None, None] * 1.6 * STEP_ANGLES * beyond[:, None]
@@ -207,7 +208,7 @@ def _close_end_joints(
 
 
 def _find_contacts(gaps: Array, least: float) -> tuple[Array, Flags]:
-    """Return the steps (n, 5), with fractions, at which gaps (n, s, 5) (m) first fall below `-least`, and which do."""
+    """Return fractional steps (n, 5) at which gaps (n, s, 5) (m) first fall below `-least`, and a mask of contacts."""
     hits = gaps < -least
     touches = np.asarray(hits.any(axis=1))
     step = np.where(touches, hits.argmax(axis=1), gaps.shape[1] - 1)
@@ -221,7 +222,7 @@ def _find_contacts(gaps: Array, least: float) -> tuple[Array, Flags]:
 
 
 def _find_firm_grasps(solid: Solid, templates: HandTemplates, palms: Palms, closed: ClosedHands) -> Flags:
-    """Return a mask (n,) of the hands whose thumb and two fingers press on opposite sides of the object."""
+    """Return a mask (n,) of the hands whose thumb and at least two fingers press on opposite sides of the object."""
     n = len(palms)
     nearest = closed.gaps.argmin(axis=2)
     touching = closed.gaps.min(axis=2) < _TOUCH_DISTANCE
@@ -287,7 +288,7 @@ _OPEN_CLEARANCE = 0.002
 
 @cache
 def _make_gripper_points() -> Array:
-    """Return points (n, 3) in m of the open gripper at a grasp, and of its fingers on the approach, in its frame."""
+    """Return points (n, 3) in m, in the frame of a grasp, of the open gripper and of its fingers on the approach."""
     fingers = [
         (side * x, y, z)
         for side in (-1, 1)

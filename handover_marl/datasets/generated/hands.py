@@ -71,7 +71,7 @@ class Person:
 
 @lru_cache(maxsize=1024)
 def draw_person(config: GeneratedConfig, number: int) -> Person:
-    """Draw the person with a number: a woman or a man with normally distributed hand length and breadth."""
+    """Draw person `number` of a configuration: a woman or a man with normally distributed hand length and breadth."""
     random = open_stream(make_seed(config, "person", number), "person")
     lengths, breadths = WOMEN if random.uniform() < 0.5 else MEN
     first, other = random.normal(), random.normal()
@@ -142,7 +142,7 @@ class Posture(ArrayBatch):
 
 
 def _place_spheres(hand: HandGeometry, capsules: Sequence[Capsule], count: int) -> Spheres:
-    """Return spheres in tapered capsules of the reference hand, `count` in each, scaled to another right hand."""
+    """Return spheres in tapered capsules of the reference hand, `count` in each, scaled to the right hand `hand`."""
     t, across = np.linspace(0.0, 1.0, count)[:, None], float(hand.scale[1])
     scaled = [(a * hand.scale, b * hand.scale, r0 * across, r1 * across) for a, b, r0, r1 in capsules]
     centers = [start + t * (end - start) for start, end, _, _ in scaled]
@@ -151,7 +151,7 @@ def _place_spheres(hand: HandGeometry, capsules: Sequence[Capsule], count: int) 
 
 
 def _list_palm_capsules(hand: HandGeometry) -> list[Capsule]:
-    """Return capsules, in a palm's frame, that approximate it: metacarpals, balls of thumb and little finger."""
+    """Return capsules that approximate the reference hand's palm, in its frame: metacarpals and balls of the hand."""
     index, middle, little, ring, thumb = hand.joint_origins[::3] / hand.scale
     drop, wrist = np.array([0.0, -0.004, 0.0]), 0.0155
     return [
@@ -193,7 +193,7 @@ class Openings(ArrayBatch):
         center: (n, 3) centers of the gaps (m).
         axis: (n, 3) unit vectors from the thumb's pad to the fingers' pads.
         width: (n,) widths of the gaps (m).
-        facing: (n,) cosines of the angles between the direction that the fingers' pads face and that to the thumb.
+        facing: (n,) cosines of the angles between the fingers' pad normals and the direction to the thumb.
     """
 
     posture: Posture

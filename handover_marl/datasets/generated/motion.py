@@ -66,7 +66,7 @@ _TURN_SPEED = (np.radians(30.0), np.radians(90.0))
 
 @dataclass(frozen=True, eq=False)
 class KeyframeMotion:
-    """Keyframes of the handed-over object and the hand, T frames of 40 ms.
+    """T keyframes, 40 ms apart, of the handed-over object and the hand, in the table's frame (m, rad).
 
     Attributes:
         object_position: (T, 3) position of the object.
@@ -132,7 +132,7 @@ def minimum_jerk(time: npt.ArrayLike) -> Array:
 
 
 def _draw_timing(random: RandomStream, speed: float, entry_distance: float, lift_time: float) -> HandoverTiming:
-    """Draw a timing with a wrist's peak speed (m/s), a reach of `entry_distance` (m) and a lift of `lift_time` (s)."""
+    """Draw a timing for a peak speed of the wrist (m/s); shorten reach (m) and lift (s) if the recording is short."""
     n_frames = list(FRAME_COUNTS)[random.weighted_index(list(FRAME_COUNTS.values()))]
     onset = round(random.draw_quantile("hand_onset"))
     onset_share = random.uniform(0.05, 0.40)
@@ -186,7 +186,7 @@ class _HandoverPath:
         return positions, Rotation.from_quat(multiply_quaternions(self._first, turns))
 
     def min_duration(self, speed: float) -> float:
-        """Return the shortest duration (s) of the path in which the wrist is at most as fast as `speed` (m/s)."""
+        """Return the duration (s) of the path at a wrist's peak speed of 0.95 `speed` (m/s), but at least 0.4 s."""
         position, rotation = self.sample(minimum_jerk(_SAMPLES))
         wrist = position + rotation.apply(self._wrist)
         fastest = float(np.linalg.norm(np.diff(wrist, axis=0), axis=1).max()) / float(_SAMPLES[1])
@@ -219,7 +219,7 @@ def _add_hand_motion(
     placement: ObjectPlacement,
     giver: SimulatedGiver,
 ) -> KeyframeMotion:
-    """Add the hand's motion to the object's: it reaches from `entry` (3,) (m), then it is attached to the object."""
+    """Add the hand's motion to the object's: it reaches from the direction of `entry` (3,), then follows the object."""
     grasps, row = giver.grasps, placement.grasp
     object_from_hand = Rotation.from_matrix(giver.object_from_hand[row])
     base_rotation = Rotation.from_quat(multiply_quaternions(rotation.as_quat(), object_from_hand.as_quat()))
@@ -267,7 +267,7 @@ def _compute_reach_path(entry: Array, end: Array, finger_direction: Array, lengt
 
 
 def _bezier(parameter: Array, start: Array, control: Array, end: Array) -> Array:
-    """Return the points (n, 3) of a quadratic Bezier curve with points (3,), at parameters (n,) from 0 to 1."""
+    """Return points (n, 3), at parameters (n,) from 0 to 1, of a quadratic Bezier curve with control points (3,)."""
     s = parameter[:, None]
     return np.asarray((1 - s) ** 2 * start + 2 * s * (1 - s) * control + s**2 * end)
 
@@ -277,7 +277,7 @@ def _cumulative_lengths(points: Array) -> Array:
 
 
 def _compute_reach_rotations(start: Array, end: Array, finger_direction: Array, progress: Array) -> Rotation:
-    """Return rotations, fading with `progress` (n,), that turn the fingers of the grasping hand along the path."""
+    """Return n rotations that turn the fingers to the direction of travel, and fade out as `progress` (n,) nears 1."""
     travel = (end - start) / max(float(np.linalg.norm(end - start)), 1e-9)
     axis = np.cross(finger_direction, travel)
     sine = float(np.linalg.norm(axis))
@@ -310,7 +310,7 @@ def draw_far_positions(random: RandomStream) -> tuple[Array, Array]:
 def add_post_arrival_motion(
     random: RandomStream, motion: KeyframeMotion, giver: SimulatedGiver, grasp: int
 ) -> KeyframeMotion:
-    """Continue a motion to 8 s by a smooth curve of hand and object, in the grasp with this index, then rest.
+    """Continue a motion to 8 s: hand and object, in the grasp with index `grasp`, move along a smooth curve, then rest.
 
     The set t0 of GenH2R (Wang et al., CVPR 2024) has such motions.
     """
@@ -339,7 +339,7 @@ def add_post_arrival_motion(
 
 
 def _draw_curve(random: RandomStream, count: int) -> tuple[Array, Array]:
-    """Draw displacements (n, 3) (m) and rotation vectors (n, 3) (rad) from the start of a curve between two rests."""
+    """Draw a curve from rest to rest: displacements (n, 3) (m) and rotation vectors (n, 3) (rad) from its start."""
     low, high = _N_WAYPOINTS
     n = low + random.integer(high - low + 1)
     moves = (2.0 * random.uniforms(n, 3) - 1.0) * np.array(_EXTENT)
@@ -415,8 +415,8 @@ def compute_trajectories(motion: KeyframeMotion, clutter: Sequence[ClutterObject
 def resample_poses(key_times: Array, positions: Array, rotations: Rotation, times: Array) -> Float32:
     """Interpolate poses of n keyframes at `key_times` (n,), in s, at other times (T,).
 
-    Returns positions (m) and unwrapped intrinsic XYZ Euler angles (rad), (T, 6); outside of the keyframes, positions
-    are constant.
+    Returns positions (m) and unwrapped intrinsic XYZ Euler angles (rad), (T, 6); outside of the keyframes, poses are
+    constant.
     """
     points = CubicSpline(key_times, positions)(np.clip(times, key_times[0], key_times[-1]))
     angles = np.unwrap(_resample_angles(key_times, rotations, times), axis=0)
@@ -431,7 +431,7 @@ def resample_fingers(key_times: Array, fingers: Array, times: Array) -> Float32:
 
 
 def _resample_angles(key_times: Array, rotations: Rotation, times: Array) -> Array:
-    """Return Euler angles (T, 3) at `times` of rotations at `key_times` (n,); interpolate only where these change."""
+    """Return intrinsic XYZ Euler angles (T, 3) in rad at `times`; a constant start and end are not interpolated."""
     quaternions, still = rotations.as_quat(), rotations.as_euler("XYZ")
     moves = np.flatnonzero((quaternions[1:] != quaternions[:-1]).any(axis=1))
     if not len(moves):

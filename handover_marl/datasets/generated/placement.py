@@ -170,7 +170,10 @@ def draw_placement(random: RandomStream, giver: SimulatedGiver, draw_positions: 
 
 
 def _sample_resting_grasps(random: RandomStream, giver: SimulatedGiver, distance: float) -> list[tuple[Array, int]]:
-    """Return resting rotations (3, 3) of the object, each with the index of a grasp of about a wrist `distance` (m)."""
+    """Draw resting rotations (3, 3) of the object, each with the index of a grasp of about a wrist `distance` (m).
+
+    If the hand would touch the table in every grasp, return the grasp with the highest hand alone.
+    """
     axes = random.weighted_order(giver.up_axes)
     first_yaw = random.uniform(0.0, 2.0 * np.pi)
     tie = random.uniform()
@@ -191,7 +194,7 @@ def _sample_resting_grasps(random: RandomStream, giver: SimulatedGiver, distance
 
 
 def _make_resting_rotation(axis: int, yaw: npt.ArrayLike) -> Array:
-    """Return rotations (..., 3, 3) with an axis (in the list +x, -x, +y, -y, +z, -z) up, at yaw angles (...) in rad."""
+    """Return rotations (..., 3, 3) at yaw angles (...) (rad) with an axis up: 0 to 5 for +x, -x, +y, -y, +z, -z."""
     cos, sin = np.cos(yaw), np.sin(yaw)
     turns = np.zeros((*np.shape(cos), 3, 3))
     turns[..., 0, 0], turns[..., 0, 1], turns[..., 1, 0], turns[..., 1, 1] = cos, -sin, sin, cos
@@ -209,7 +212,7 @@ def _make_upright_rotation(axis: int) -> Array:
 
 
 def _find_reachable_grasps(giver: SimulatedGiver, rotations: Array, limit: float) -> npt.NDArray[np.bool_]:
-    """Return which of g human grasps, (n, g), are clear of the table and come from the giver's side.
+    """Return a mask (n, g) of those of g human grasps that are clear of the table and come from the giver's side.
 
     The rotations (n, 3, 3) of the object have the same axis up; `limit` is the smallest cosine between the fingers and
     the direction in which the giver reaches.
@@ -223,7 +226,7 @@ def _find_reachable_grasps(giver: SimulatedGiver, rotations: Array, limit: float
 def _sample_handover_poses(
     random: RandomStream, giver: SimulatedGiver, grasp: int, position: Array
 ) -> list[tuple[Array, Array]]:
-    """Draw handover poses of the object at a position (m) with hand rotations of DexYCB: position, matrix (3, 3)."""
+    """Draw handover poses (position, matrix (3, 3)) at a position (m); if all touch the table, return a raised one."""
     hand_from_object = giver.object_from_hand[grasp].T
     fitting: list[tuple[Array, Array]] = []
     highest = (-np.inf, np.eye(3))
@@ -244,7 +247,7 @@ def _sample_handover_poses(
 def _compute_costs(
     giver: SimulatedGiver, placements: Sequence[ObjectPlacement], tilt: float, free_grasp_share: float
 ) -> Array:
-    """Return the deviations (n,) of n placements with one grasp from a desired tilt (rad) and free grasp share."""
+    """Return costs (n,) of n placements with one grasp: deviation from a desired tilt (rad) and free grasp share."""
     rotations = np.stack([placement.handover[1] for placement in placements])
     cosines = np.array([placement.start[1][2] @ placement.handover[1][2] for placement in placements])
     costs: Array = _TILT_WEIGHT * np.abs(np.arccos(np.clip(cosines, -1.0, 1.0)) - tilt)
@@ -294,7 +297,7 @@ def hand_poses_from_grasps(transforms: Array) -> Array:
 
 
 def _find_clear_grasps(gripper_points: Array, hand_points: Array) -> npt.NDArray[np.bool_]:
-    """Return which robot grasps, (n,), with gripper points (n, p, 3), are clear of the person's hand (21, 3) (m)."""
+    """Return a mask (n,) of robot grasps whose gripper points (n, p, 3) are clear of hand keypoints (21, 3) (m)."""
     wrist, digits = hand_points[:1], hand_points[1:].reshape(5, 4, 3)
     palm = 0.5 * (digits[:, 0] + wrist)
     hand = np.concatenate([hand_points, palm])
@@ -306,7 +309,7 @@ def _find_clear_grasps(gripper_points: Array, hand_points: Array) -> npt.NDArray
 def _compute_free_grasp_shares(world_from_object: Array, clear: npt.NDArray[np.bool_], grasps: Array) -> Array:
     """Return the shares (m,) of preferred robot grasps that are clear of the giver's hand, for m object poses (m, 7).
 
-    Preferred are those of the grasps (n, 7) whose standoff poses are nearest to the pose of the waiting gripper. The
+    The preferred grasps among `grasps` (n, 7) have the standoff poses nearest to the pose of the waiting gripper. The
     mask `clear` (n,) is from `_find_clear_grasps`.
     """
     standoffs = compose(compose(world_from_object[:, None], grasps), np.array(RANKING_STANDOFF))

@@ -65,8 +65,8 @@ def generate_handover(
 ) -> GeneratedHandover:
     """Generate the handover of a person: poses, motion, and other objects, whose number is one of `clutter_counts`.
 
-    `draw_positions` draws the handed-over object's positions at the start and at the handover; `extend_motion`
-    continues a motion after the arrival, given the index of the grasp.
+    `draw_item` draws another object, `draw_positions` the handed-over object's positions at start and handover;
+    `extend_motion` continues a motion after the arrival, given the index of the grasp.
     """
     placement = draw_placement(open_stream(seed, "placement"), giver, draw_positions)
     motion = draw_motion(seed, placement, giver)

@@ -1,4 +1,4 @@
-"""Procedural objects of random sizes, and objects as unions of convex polyhedra, also of model files.
+"""Procedural objects of random sizes, and objects as unions of convex polyhedra, also read from model files.
 
 Lengths are in metres. The surface of a part of a procedural object is a stack of rings: convex outlines with parallel
 edges, so that the quadrilaterals between two rings are planar and the part is their convex hull. The origin of a
@@ -213,7 +213,7 @@ class Solid:
         """Return lengths (k,) in m at which k rays leave the solid, and cosines (k,) between ray and normal there.
 
         The rays have starts and unit directions (k, 3). A ray through a cup leaves it twice, at its wall and at its far
-        side; numbers (k,) from 0 to 1 choose one of the places. A length is infinite without one up to `max_width` (m).
+        side; numbers (k,) from 0 to 1 choose one of the places. A length is infinite if none is within `max_width` (m).
         """
         slopes, row = self._normals @ directions.T, np.arange(len(points))
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -229,7 +229,7 @@ class Solid:
         return np.where(is_exit.any(axis=0), lengths, np.inf), slopes[plane, row]
 
     def _split(self, rows: Array) -> list[Array]:
-        """Split an array (n, ...) so that the planes' distances of the points in each part fit into the cache."""
+        """Split an array (n, ...) of points into chunks whose distances from all planes fit into the CPU cache."""
         step = max(_N_VALUES // len(self._offsets), 1)
         return [rows[start : start + step] for start in range(0, max(len(rows), 1), step)]
 
@@ -407,7 +407,7 @@ def _center(parts: list[Part]) -> tuple[Part, ...]:
 
 
 def _length(random: RandomStream, low: float, high: float, digits: int = 4) -> float:
-    """Draw a length (m) to 0.1 mm, or another number to some digits."""
+    """Draw a number from `low` to `high`, rounded to `digits` decimals: by default a length (m) to 0.1 mm."""
     return round(random.uniform(low, high), digits)
 
 

@@ -111,7 +111,7 @@ class ArrayEpisodes:
         return self._terminated[rows] | self._truncated[rows]
 
     def find_without_outputs(self, rows: AnyIndices) -> AnyIndices:
-        """Return those of `rows` whose episode runs, and whose next step needs no outputs of a network."""
+        """Return the `rows` whose running episode needs no network outputs now; none with two agents or no scheme."""
         if len(self._agents) > 1 or not self._schemes:
             return rows[:0]
         (agent,) = self._agents
@@ -146,7 +146,7 @@ class ArrayEpisodes:
     def _simulate(self, rows: AnyIndices, actions: ByAgent, steps: int) -> ByAgent:
         """Simulate up to `steps` physics steps of episodes, in which the partner decides at its own control period.
 
-        Returns the actions (r, ...) of the first step by agent, with those of the partner; the giver's are clipped.
+        Returns the actions (r, ...) by agent at the start of the period, also the partner's; the giver's are clipped.
         """
         episodes, xp, (low, high) = self._episodes, self.arrays.xp, self._giver_limits
         agent = self._partner_agent
@@ -305,7 +305,7 @@ class ArrayEnvs:
         self._episodes.close()
 
     def _start(self, row: int, episode: int, options: Mapping[str, Any] | None) -> None:
-        """Start an episode of environment `row` in place `episode` of the simulation; `options` may name the scene."""
+        """Start an episode of environment `row` as episode `episode` of the simulation; `options` may set the scene."""
         rng = self._rngs[row]
         scene_id = self._base.choose_scene(options, rng)
         robot_seed, camera_seed = draw_seeds(rng, self._base.config.world_config)

@@ -154,7 +154,7 @@ class Envs(Protocol):
 def check_action_array(
     actions: Any, space: spaces.Space[Any], count: int, agent: str, arrays: ArrayFactory = NUMPY_ARRAYS
 ) -> AnyArray:
-    """Check an agent's actions (count, ...) in all environments; return them as float32 in the form of `arrays`."""
+    """Return an agent's actions (count, ...) as float32 in the form of `arrays`; raise ActionError if malformed."""
     shape = (count, *(space.shape or ()))
     if is_tensor(actions) and arrays is not NUMPY_ARRAYS:
         is_number = arrays.xp.isdtype(actions.dtype, ("integral", "real floating"))

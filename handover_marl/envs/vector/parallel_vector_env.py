@@ -201,7 +201,7 @@ class ParallelVectorEnv:
 
     @contextlib.contextmanager
     def _use_envs(self) -> Iterator[None]:
-        """Check that the environments can be used, and exclude other threads meanwhile."""
+        """Check that the environments are usable; lock out other threads and disable gradients in a `with` block."""
         if self._is_closed:
             raise ResetNeededError("the vector environment is closed; make another one")
         if os.getpid() != self._process:

@@ -62,7 +62,7 @@ def make_policy_batch(
     count: int,
     arrays: ArrayFactory = NUMPY_ARRAYS,
 ) -> PolicyBatch:
-    """Make a policy for `count` environments: one on arrays if there is such a version, else one per environment."""
+    """Make the policy batch of `count` environments: one policy on arrays if possible, else one policy for each."""
     agent, space = reference.agent, giver_action_space(config.giver)
 
     def check(action: object) -> npt.NDArray[np.float32]:

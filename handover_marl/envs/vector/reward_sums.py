@@ -24,7 +24,7 @@ from handover_marl.geometry.arrays import AnyArray, AnyIndices, to_numpy
 class RewardSums:
     """Weighted reward terms of `count` episodes, summed since the last call of `clear`.
 
-    The configuration of the environment has the rewards.
+    The field `rewards` of `config` specifies the terms.
     """
 
     def __init__(self, config: EnvConfig, episodes: Episodes, count: int) -> None:

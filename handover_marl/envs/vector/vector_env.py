@@ -165,7 +165,7 @@ def vector_env(
             observation modes but "full_pointcloud"; the random subsets of point clouds with more than 1024 points
             differ from those of "threads".
         device: Device of the simulation: "cpu", or "cuda" for a GPU with "warp". MuJoCo Warp on "cpu" is for tests.
-        trust: Whether a policy file may run code.
+        trust: Whether modules that a policy file or a population names may be imported.
         config: Configuration of each environment; default: one made of `fields`.
         fields: Fields of `handover_marl.envs.config.EnvConfig`, in place of `config`; `physics`
             defaults to "mujoco".
@@ -308,7 +308,7 @@ def _check_device(template: WrappableEnv, uses_arrays: bool) -> None:
 
 
 def _apply_wrapper(wrapper: WrapperFunction, env: WrappableEnv) -> WrappableEnv:
-    """Return an environment wrapped by a user's function or class `wrapper`."""
+    """Return an environment wrapped by a user's function or class `wrapper`; raise OptionError if it fails."""
     if not callable(wrapper):
         raise OptionError(f"wrappers must be functions or classes that wrap an environment, got {wrapper!r}")
     try:

@@ -97,7 +97,7 @@ def control_agent(
         partner: Policy of the other agent: a name, a class or an instance; default: "replay" for a
             giver, "yang2021" for a receiver.
         api: "parallel" for a PettingZoo environment of one agent, "gymnasium" for a Gymnasium one.
-        trust: Whether a policy file (`learned:FILE`) may run code.
+        trust: Whether modules that a policy file (`learned:FILE`) or a population names may be imported.
 
     Raises:
         UnknownNameError: There is no such agent, policy or API.

@@ -144,7 +144,7 @@ class EncodedEnv(ParallelWrapper):
         given = actions if isinstance(actions, Mapping) else {}
         outputs = {
             agent: check_vector(
-                f"outputs of the {agent}", given.get(agent), self._schemes[agent].size, "as its action scheme decodes"
+                f"outputs of the {agent}", given.get(agent), self._schemes[agent].size, "inputs of its action scheme"
             )
             for agent in self.agents
         }
@@ -220,7 +220,10 @@ def _complete_choices(argument: str, defaults: dict[str, str], choices: Any, age
     """Return the features or schemes of each agent: those in `choices`, by agent or for the only one, else defaults."""
     if not isinstance(choices, Mapping):
         if choices is not None and len(agents) != 1:
-            raise OptionError(f"{argument} must be a dict by agent for {len(agents)} agents, got {choices!r}")
+            raise OptionError(
+                f"{argument} must be a dict by agent for {len(agents)} agents, got {choices!r}; for one of them, call "
+                "control_agent first"
+            )
         choices = {} if choices is None else {agents[0]: choices}
     unknown = sorted(map(str, choices.keys() - set(agents)))
     if unknown:

@@ -49,7 +49,7 @@ CHEST, HALF_SHOULDER_WIDTH, UPPER_ARM, FOREARM = (0.56, 0.65, 1.35), 0.226, 0.32
 def compute_rula_arm_scores(wrist: Array, side: str) -> npt.NDArray[np.int_]:
     """Compute the sums (n,) of RULA's scores of upper arm (1 to 5) and forearm (1 to 3) at n times.
 
-    The elbow hangs as low as the wrist's position allows. A wrist out of reach has a straight arm.
+    The elbow hangs as low as the wrist's position allows. If the wrist is out of reach, the arm is straight.
 
     Args:
         wrist: (n, 3) positions of the wrist in the world frame (m).
@@ -142,8 +142,8 @@ class FluencyMetrics:
             without a release after such a contact.
         gripper_contact_speed: Speed of the robot's hand link at the first contact with the object (m/s),
             averaged over 60 ms; None if there is no contact.
-        robot_object_impulse: Sum over all physics steps until the release of the normal forces between
-            robot and object, times 1 ms (N s); None if there is no contact until the release.
+        robot_object_impulse: Sum over all physics steps until the release or the end of the normal forces
+            between robot and object, times 1 ms (N s); None if there is no contact until then.
         min_separation_margin: Smallest distance between the surfaces of robot and human hand minus the protective
             separation distance of ISO/TS 15066 (m), sampled every 20 ms; negative if the robot could touch
             the hand before it stops; None if there is no hand.
@@ -219,9 +219,10 @@ def compute_fluency(trace: EpisodeTrace) -> FluencyMetrics:
 
 
 def has_early_grab(trace: EpisodeTrace) -> bool | None:
-    """Return whether the fingers begin to close before the person's offer; None if they do not close, or no hand moves.
+    """Return whether the fingers begin to close before the person's offer.
 
-    The offer is the end of the person's last activity before the release, or before the end without a release.
+    The offer is the end of the person's last activity before the release, or before the end without a release. Returns
+    None if, until then, the fingers do not close or the person's hand does not move.
     """
     n = trace.count_samples_until(trace.steps if trace.release_step is None else trace.release_step)
     person = compute_speeds(trace.wrist, trace.period) > ACTIVE_SPEED

@@ -60,8 +60,8 @@ class EpisodeTrace:
         hand_impulse: Sum over all physics steps of the normal forces between robot and human hand,
             times the duration of a step (N s); None if there is no contact.
         contact_step: First physics step in which the robot touched the object; None if there is no contact.
-        object_impulse: Sum over the physics steps until the release of the normal forces between robot and
-            object, times the duration of a step (N s).
+        object_impulse: Sum over the physics steps until the release or the end of the normal forces between
+            robot and object, times the duration of a step (N s).
         min_separation_margin: Smallest distance between robot and human hand minus the protective distance
             of `compute_protective_distances` (m); None if there is no hand.
         side: Side of the human hand, "right" or "left".
@@ -202,7 +202,7 @@ class TraceRecorder(EpisodeCallback):
 
 
 def compute_speeds(positions: Array, period: float) -> Array:
-    """Compute the speeds (n,) in m/s at positions (n, k), averaged over 60 ms; 0 if a position is NaN.
+    """Compute the speeds (n,) in m/s at positions (n, k), as means of 3 samples in which NaN speeds count as 0.
 
     Args:
         positions: (n, k) positions (m).
@@ -303,7 +303,7 @@ def compute_protective_distances(person_speeds: Array, robot_speeds: Array) -> A
 
 
 def compute_sampled_distances(wrist: Array, gripper: Array, n_samples: int) -> Array:
-    """Compute the protective distances (n + 1,) in m at n samples and the last step, with the last sample's speeds.
+    """Compute the protective distances (n + 1,) in m at n samples and at the last step, a copy of the last sample's.
 
     Args:
         wrist: (n + 1, 3) positions of the wrist at the samples and the last step (m), NaN if there is no hand.

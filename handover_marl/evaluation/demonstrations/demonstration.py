@@ -59,8 +59,8 @@ class Demonstration:
         observations: Arrays (T + 1, ...) by key of `receiver_observation_space`, at every row and at the end.
         actions: (T, 9) float32 target joint positions, 7 arm joints (rad), 2 fingers (m).
         rewards: (T,) float64, 1 for the last row of a completed handover, else 0.
-        terminations: (T,) bool, whether success, contact or a drop ended the episode.
-        truncations: (T,) bool, whether the time limit ended the episode.
+        terminations: (T,) bool, True in the last row if success, contact or a drop ended the episode.
+        truncations: (T,) bool, True in the last row if the time limit ended the episode.
         steps: (T + 1,) int64 physics steps (1 ms) since the start, at every observation.
         giver_steps: (G,) int64 physics steps of the giver's decisions; empty for the replayed giver.
         giver_actions: (G, 8) float32 deviations from the replay, see `handover_marl.episode.spaces`.
@@ -184,11 +184,11 @@ class Demonstrations:
         return len(self._paths)
 
     def __getitem__(self, number: int) -> Demonstration:
-        """Read the episode of a given number, with all its arrays.
+        """Read the episode at an index of this sequence, with all its arrays.
 
         Raises:
-            TypeError: The number is not an integer; slices are not supported.
-            IndexError: The number is out of range.
+            TypeError: The index is not an integer; slices are not supported.
+            IndexError: The index is out of range.
             DataFormatError: The file of the episode is damaged.
         """
         return self._read(operator.index(number), self.observation_space)
@@ -215,14 +215,14 @@ class Demonstrations:
 
         Args:
             names: Observations to read, by key; default: all.
-            episodes: Episodes to read, by number; default: all.
+            episodes: Indices of the episodes to read; default: all.
 
         Returns:
             Observations (N, ...) by key and actions (N, 9) of N rows.
 
         Raises:
             UnknownNameError: Unknown observation.
-            IndexError: The number of an episode is out of range.
+            IndexError: The index of an episode is out of range.
             DataFormatError: The file of an episode is damaged.
         """
         names = list(self.observation_space.spaces if names is None else names)

@@ -142,7 +142,7 @@ class Report(TabularResult):
 
     @property
     def heading(self) -> str:
-        """Evaluated scenes, policies, physics, data and code versions of the report."""
+        """Description of the evaluated scenes, policies, physics, data and code versions, as text."""
         metadata = self.metadata
         details = [
             f"wait {metadata.wait_s} s" if metadata.wait_s else "",
@@ -300,9 +300,9 @@ def write_report(folder: Path, report: Report) -> None:
 
 
 def _add_scene_info(path: Path, metadata: ResultMetadata, results: Iterable[EpisodeResult]) -> Iterator[EpisodeResult]:
-    """Yield the results; those of HandoverSim get scene, object and subject if their index determines them.
+    """Yield the results; add scene, object and subject to those of HandoverSim if the index determines them.
 
-    A result that states another scene than its index determines is an error.
+    A result of another scene than its index determines raises `ResultsError`.
     """
     # In s2 the index of a scene depends on the hand used; scenes of other data only their data set knows.
     if metadata.setup not in SETUPS or metadata.setup == "s2" or metadata.dataset not in _OFFICIAL_SCENES:

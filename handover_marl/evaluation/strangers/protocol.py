@@ -195,7 +195,7 @@ def make_leaderboard(
             scenes.
         population: Population of the evaluations: name of a shipped one, or path of a file.
         names: Name of the method of every folder; default: the labels of its policies.
-        trust: Whether modules that the population names may be imported, and code in policy files may run.
+        trust: Whether modules that the population names may be imported.
 
     Raises:
         OptionError: There is no folder, a method has two folders of a split, or the folders are of another population.

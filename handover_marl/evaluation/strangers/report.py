@@ -240,7 +240,8 @@ def read_entry(folder: Path) -> dict[str, str]:
             raise ValueError(f"agent must be one of {', '.join(OTHER_AGENT)}")
     except FileNotFoundError as error:
         raise ResultsError(
-            f"{path} does not exist: the evaluation is not finished; run the same command to resume"
+            f"{path} does not exist: run `handover-marl strangers` into this folder, or the same command again if it "
+            "was interrupted"
         ) from error
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise ResultsError(f"{path}: not a readable evaluation with strangers ({shorten_text(error)})") from error

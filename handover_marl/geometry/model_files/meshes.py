@@ -100,9 +100,9 @@ def decompose_convex(vertices: Array, faces: Faces, concavity: float = 0.05) -> 
 
 @cached_by_file(256, read_model_mtimes)
 def check_collision_meshes(urdf: Path) -> None:
-    """Check that a URDF model's collision meshes are neither empty nor flat, with finite vertices.
+    """Check that a URDF model has collision shapes, and that their meshes are finite and neither empty nor flat.
 
-    An unchanged model is checked once. Only the content of OBJ files is checked.
+    Raises `DataFormatError` if not. An unchanged model is checked once. Of meshes, only OBJ files are checked.
     """
     shapes = read_urdf_shapes(urdf, read_tree(urdf), "collision")
     if not shapes:
@@ -112,7 +112,7 @@ def check_collision_meshes(urdf: Path) -> None:
 
 
 def check_model(urdf: Path, n_joints: int) -> None:
-    """Check what simulations read of a URDF model: links, shapes, meshes, and that it has `n_joints` moving joints."""
+    """Raise an error if links, shapes or meshes of a URDF model are invalid, or not exactly `n_joints` joints move."""
     check_collision_meshes(urdf)
     tree = read_tree(urdf)
     read_urdf_links(urdf, tree)
@@ -173,7 +173,7 @@ def group_visual_shapes(urdf: Path, tree: KinematicTree, without: Collection[str
 
 
 def concatenate_meshes(parts: Sequence[tuple[Array, Faces]]) -> tuple[Array, Faces]:
-    """Return one mesh of several, each given by its vertices (v, 3) and faces (f, 3)."""
+    """Join several meshes into one; each mesh is a pair of vertices (v, 3) and faces (f, 3)."""
     firsts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
     return (
         np.concatenate([vertices for vertices, _ in parts]),

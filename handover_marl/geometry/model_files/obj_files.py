@@ -46,7 +46,7 @@ def read_obj(path: Path) -> ObjMesh:
     """Read vertices and triangles of an OBJ mesh file.
 
     Vertex numbers may count back from the last vertex before the face. Normals, texture coordinates, colors and
-    curves are ignored.
+    curves are ignored. An invalid or empty file raises `DataFormatError`.
     """
     with report_damage(path, "OBJ file of triangles", "check the file"):
         return _parse_obj(path, split_obj_lines(read_plain_file(path)))
@@ -91,10 +91,11 @@ def _parse_obj(path: Path, lines: Iterator[list[str]]) -> ObjMesh:
 
 
 def split_polygon(words: Sequence[str], part: int, count: int) -> list[tuple[int, int, int]]:
-    """Split a face into triangles of numbers, counted from 0, of vertices (part 0) or texture coordinates (part 1).
+    """Split a face into triangles, each as three indices of vertices (part 0) or of texture coordinates (part 1).
 
-    `words` are the corners in the file, e.g. "7/3", whose numbers count from 1, or backwards from the last of the
-    `count` before the face. A missing number becomes -1.
+    `words` are the face's corners in the file, e.g. "7/3" for vertex 7 and texture coordinate 3. Numbers in the file
+    count from 1, or, if negative, backwards from the last of the `count` entries before the face. The returned indices
+    count from 0; a missing number becomes -1.
     """
     numbers = [int((word.split("/")[part : part + 1] or [""])[0] or 0) for word in words]
     first, *others = [n - 1 if n > 0 else count + n if n < 0 else -1 for n in numbers]
@@ -109,7 +110,7 @@ def format_obj(vertices: Array, faces: Faces, first: int = 1) -> str:
 
 
 def format_convex_parts(parts: Iterable[tuple[Array, Faces]]) -> str:
-    """Return the OBJ text of convex meshes (vertices, faces), one object each; PyBullet makes a hull of each object."""
+    """Return an OBJ text with one object for each convex mesh (vertices, faces), which PyBullet loads as one hull."""
     texts, first = [], 1
     for number, (vertices, faces) in enumerate(parts):
         texts.append(f"o convex_{number}\n{format_obj(vertices, faces, first)}")
@@ -118,10 +119,10 @@ def format_convex_parts(parts: Iterable[tuple[Array, Faces]]) -> str:
 
 
 def check_mesh(path: Path, solid: bool = False) -> None:
-    """Check that every engine can load a mesh file; only the content of OBJ files is checked.
+    """Raise `DataFormatError` if not every engine can load a mesh file; only the content of OBJ files is checked.
 
     PyBullet crashes on vertex numbers out of range, loads empty meshes without an error, and reads some forms of the
-    format wrong.
+    format wrong. The vertices of a `solid` mesh must not all be in one plane.
     """
     if path.suffix.lower() != ".obj":
         return

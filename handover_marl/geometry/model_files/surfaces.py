@@ -43,7 +43,7 @@ class Surface:
     texels: Texture
 
     def sample(self, faces: npt.NDArray[np.integer], weights: Array) -> Texture:
-        """Return the colours (n, 3) of a point on each triangle `faces` (n,), by the weights (n, 2) of corners 2, 3."""
+        """Return colours (n, 3) at a point of each triangle `faces` (n,), by the weights (n, 2) of corners 2 and 3."""
         # `take` is several times as fast as indexing of rows.
         first, width, height = self.textures.take(faces, axis=0).T
         if self._is_plain:
@@ -57,7 +57,7 @@ class Surface:
 
     @functools.cached_property
     def _places(self) -> tuple[Array, Array, Array]:
-        """Position (f, 2) of the first corner of each triangle, and the vectors from it to the others."""
+        """Texture position (f, 2) of each triangle's first corner, and vectors (f, 2) from it to the others."""
         first, *others = (np.ascontiguousarray(self.corners[:, corner]) for corner in range(3))
         return first, others[0] - first, others[1] - first
 

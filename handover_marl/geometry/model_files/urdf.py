@@ -31,7 +31,7 @@ class UrdfLink:
         center: Centre of mass (x, y, z) in the link's frame (m).
         friction: Lateral friction; Bullet multiplies the values of two touching links. Default: Bullet's.
         spinning_friction: Torsional friction: torque about the contact normal per newton of normal force (m).
-        limits: Lower and upper limit of the joint that carries the link (rad, m), or None.
+        limits: Lower and upper limit of the joint that carries the link (rad, m); None for a joint without limits.
     """
 
     mass: float = 0.0
@@ -63,7 +63,7 @@ class UrdfShape:
 
 
 def read_urdf_links(urdf: Path, tree: KinematicTree) -> list[UrdfLink]:
-    """Read the properties of all links of a URDF model by link number; the base link is last."""
+    """Read the properties of all links of a URDF model, in the order of link numbers; the base link is last."""
     numbers = {joint.link: number for number, joint in enumerate(tree.joints)}
     links = [UrdfLink()] * (len(numbers) + 1)
     try:
@@ -113,7 +113,7 @@ def read_model_mtimes(urdf: Path) -> tuple[int, ...]:
 
 @cached_by_file(maxsize=256)
 def _list_meshes(urdf: Path) -> tuple[str, ...]:
-    """Return the different paths of mesh files; as text, since they are looked up at every start of an episode."""
+    """Return the distinct mesh paths of a URDF file, as text, which is faster to check at each episode start."""
     return tuple(dict.fromkeys(str(mesh) for _, mesh in list_mesh_references(urdf)))
 
 

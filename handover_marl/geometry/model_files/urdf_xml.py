@@ -27,7 +27,8 @@ _NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
 def parse_urdf(urdf: Path) -> ET.Element:
     """Parse a URDF file, check its numbers, and return its root element.
 
-    Engines load numbers that are not finite or make no sense, such as a negative mass, without an error.
+    Raises `ValueError` for numbers that are not finite or make no sense, such as a negative mass, which engines load
+    without an error, and for text that is not XML.
     """
     content = read_plain_file(urdf, MAX_URDF_BYTES)
     try:
@@ -51,7 +52,7 @@ def _check_numbers(name: str, text: str, low: float, high: float) -> None:
 
 
 def read_attribute(element: ET.Element, tag: str, name: str, default: str | None = None) -> str:
-    """Read the attribute `name` of the child with a tag of an XML element; return `default` if it is missing."""
+    """Return attribute `name` of an XML element's child `tag`, or `default`; raise `ValueError` if both are missing."""
     found = element.find(tag)
     value = default if found is None else found.get(name, default)
     if value is None:

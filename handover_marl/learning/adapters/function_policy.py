@@ -23,7 +23,7 @@ from handover_marl.learning.policy_spec import OBSERVATION, DenseNetwork, Policy
 from handover_marl.policies.batch import ArrayPolicy
 from handover_marl.policies.policy import PolicyContext, milliseconds_from_wait
 
-_MEANING = "as its action scheme decodes"
+_MEANING = "inputs of its action scheme"
 
 
 class FunctionPolicy(ArrayPolicy):
@@ -42,6 +42,7 @@ class FunctionPolicy(ArrayPolicy):
     Attributes:
         function: Function from inputs to outputs.
         scheme: Action scheme that decodes the outputs.
+        spec: Agent, and encoding of inputs and outputs.
     """
 
     def __init__(
@@ -113,8 +114,8 @@ class FunctionPolicy(ArrayPolicy):
     def copy_for(self, count: int, arrays: ArrayFactory) -> "FunctionPolicy":
         """Return a policy with the same network for `count` episodes, see `ArrayPolicy`.
 
-        Actions equal those of single policies to the bit and do not depend on the other episodes of the batch. For
-        PyTorch tensors, they equal those of single policies to 1e-5.
+        Actions do not depend on the other episodes of the batch. They equal the actions of single policies: to the bit
+        for NumPy arrays, and to 1e-5 for PyTorch tensors.
         """
         policy = copy.copy(self)
         assert isinstance(self.function, DenseNetwork)
@@ -195,7 +196,7 @@ class TorchFunction:
         reset_function(self.module, seed)
 
     def __call__(self, inputs: Any) -> Any:
-        """Return the module's outputs (m,) for a vector (n,) or a dict of arrays, or what it returns if no tensor."""
+        """Return the module's outputs (m,) for a vector (n,) or a dict of arrays; keep a result that is no tensor."""
         import torch
 
         from handover_marl.learning.networks.weights import single_threaded_inference
@@ -238,7 +239,7 @@ class LearnedPolicy(FunctionPolicy):
         agent: Agent that the policy controls, "giver" or "receiver".
         context: Robot, task and known grasps of the objects.
         path: Policy file, see `handover_marl.learning.policy_files`.
-        trust: Whether code in the file may run, and modules that it names may be imported.
+        trust: Whether modules that the file names may be imported.
         control_period: Time between two decisions in training (s), for files that do not record it.
         wait: Time for which the robot stays at its waiting pose at the start of an episode (s);
             default: as in training. Only action schemes that wait have this option.

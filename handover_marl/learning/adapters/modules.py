@@ -21,7 +21,7 @@ def dense_network_from_layers(
 ) -> DenseNetwork:
     """Return a `DenseNetwork` of a PyTorch module's linear layers, in the order of registration.
 
-    The module is not called, so that it may have inputs and outputs of any types; its outputs are not compared.
+    The module is not called, so that it may have any inputs and outputs; the network is not compared with it.
 
     Args:
         module: Module with linear layers.
@@ -48,7 +48,8 @@ def _array(tensor: Any) -> Array:
 def dense_network_from_module(module: Any) -> DenseNetwork:
     """Convert a PyTorch module of linear layers, in the order of registration, to a `DenseNetwork`.
 
-    The activations, one between the layers and one after the last, are found by comparison on random inputs.
+    The activations, one between the layers and one after the last, are found by comparison on pseudo-random inputs.
+    Raises DataFormatError if no activations give the module's outputs, or if the module fails.
 
     Args:
         module: Module from (n, n_inputs) to (n, n_outputs).

@@ -26,7 +26,7 @@ def dense_network_from_sb3(
 ) -> DenseNetwork:
     """Convert the deterministic policy of a model to a `DenseNetwork` with normalized inputs and bounded outputs.
 
-    The outputs of the model and of the network are compared on random inputs.
+    The outputs of model and network are compared on pseudo-random inputs; a difference raises DataFormatError.
 
     Args:
         model: Model of PPO, A2C, SAC, TD3 or DDPG with dense layers only.

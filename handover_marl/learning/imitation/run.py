@@ -233,7 +233,7 @@ class ImitationRun:
         return self._path
 
     def _update(self, batches: Batches, held_out: Any, end: int) -> None:
-        """Train until the update with number `end`; log losses of the batches, and metrics on held-out samples."""
+        """Train until the update with number `end`; log losses and held-out metrics, and write checkpoints."""
         args, learner = self._args, self._learner
         torch.set_num_threads(args.threads)
         for done in track(range(learner.done + 1, end + 1), description=f"updates up to {end}"):

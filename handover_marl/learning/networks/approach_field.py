@@ -78,7 +78,7 @@ def _compute_standoffs(relative: Array, rotations: Rotation) -> Array:
 
 
 def _limit_steps(translations: Array, rotation_vectors: Array, max_translation: Array) -> Array:
-    """Return steps (n, 6), translation (m) and xyz Euler angles (rad), scaled down to the largest translations (n,)."""
+    """Return steps (n, 6), translation (m), xyz Euler angles (rad), up to `max_translation` (n,) and MAX_ROTATION."""
     by_translation = np.abs(translations).max(axis=1) / max_translation
     by_rotation = np.abs(rotation_vectors).max(axis=1) / MAX_ROTATION
     # Scaled together: a hand that rotates before it moves loses sight of the object.

@@ -159,7 +159,7 @@ _STAGES, _DENSE = re.compile(r"^(module\.)?encoder\.0\."), re.compile(r"^(module
 
 
 def read_gaddpg_checkpoint(path: str | Path) -> tuple[GaddpgNetwork, str]:
-    """Read the network from a checkpoint of GA-DDPG's authors.
+    """Read the network from a checkpoint of GA-DDPG's authors; raise DataNotFoundError or DataFormatError if it fails.
 
     Args:
         path: Folder of the checkpoint, or one of its two files.

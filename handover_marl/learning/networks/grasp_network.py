@@ -71,7 +71,7 @@ def _layers(*widths: int) -> nn.Sequential:
 
 
 class GraspNetwork(SavedNetwork):
-    """Grasp predictor of the receiver `vision`; independent of the order and repetition of points."""
+    """Grasp predictor of the receiver `vision`; the order of the points in a cloud does not change its grasps."""
 
     kind = "vision"
 

@@ -19,6 +19,8 @@ PADDING_SQUARED_NORM = 1e-3
 def sample_farthest_points(points: Tensor, count: int) -> Tensor:
     """Sample points by farthest point sampling, beginning with the first point of each cloud.
 
+    Points near the origin (`PADDING_SQUARED_NORM`) count as padding and are sampled only as the first point.
+
     Args:
         points: (B, N, 3) positions (m).
         count: Number of samples; if it exceeds N, points are repeated.
@@ -135,7 +137,7 @@ class SetAbstraction(nn.Module):
 class PointNetPlusPlus(nn.Module):
     """PointNet++ encoder of GA-DDPG: three set abstractions and two dense layers.
 
-    The vector depends on which point of a cloud is first, from which farthest point sampling starts. The order of the
+    The output depends on the first point of a cloud, at which farthest point sampling starts. The order of the
     other points matters only if a ball has more points than its group.
     """
 

@@ -2,7 +2,7 @@
 
 A file is a NumPy archive with one array per parameter: vectors in single precision, others in half
 precision, or, for large arrays of some networks, 8-bit integers with a scale per row (`name:scale`).
-`about` is JSON: `format`, `kind`, `settings` (arguments of the network) and `made_by` (its training).
+The entry `about` is JSON: `format`, `kind`, `settings` (arguments of the network) and `made_by` (its training).
 """
 
 import contextlib
@@ -93,7 +93,7 @@ def write_network_weights(path: Path, network: SavedNetwork, provenance: Mapping
 
 
 def read_network_weights(path: str | Path, network_class: type[_Network]) -> tuple[_Network, str]:
-    """Read a network from a file of weights.
+    """Read a network from a file of weights; raise DataNotFoundError or DataFormatError if that fails.
 
     Args:
         path: File of weights.

@@ -22,10 +22,12 @@ class BatchVecEnv(VecEnv):
         envs: The environments, with `autoreset="same_step"` and the backend "threads".
 
     Raises:
-        OptionError: The environments have another mode of resets.
+        OptionError: `envs` is no `HandoverVectorEnv`, or has another autoreset mode.
     """
 
     def __init__(self, envs: HandoverVectorEnv) -> None:
+        if not isinstance(envs, HandoverVectorEnv):
+            raise OptionError(f"envs must be made by handover_marl.vector_env(), got {type(envs).__name__}")
         if envs.autoreset_mode is not AutoresetMode.SAME_STEP:
             mode = envs.autoreset_mode.name.lower()
             raise OptionError(f"envs must have autoreset='same_step', got {mode!r}; pass it to vector_env()")
@@ -34,7 +36,7 @@ class BatchVecEnv(VecEnv):
         super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
 
     def seed(self, seed: int | None = None) -> list[int | None]:
-        """Set and return one seed per environment; runs with different `seed` share none, None makes random seeds."""
+        """Set and return one seed per environment, spawned from `seed`; None keeps the state of random generators."""
         self._seeds = [None] * self.num_envs if seed is None else list(spawn_seeds(self.num_envs, seed))
         return self._seeds
 

@@ -1,4 +1,4 @@
-"""Folder and checkpoint of a training run, choice of its scenes and seeds, and networks. It needs the extra `train`."""
+"""Run folder, checkpoint, seeds, validation and networks of trainings. The module needs the extra `train`."""
 
 import json
 from collections.abc import Callable, Sequence
@@ -34,12 +34,12 @@ _UNRECORDED_ARGUMENTS = ("out", "data_dir", "resume", "workers")
 
 
 def spawn_seeds(count: int, *entropy: int) -> list[int]:
-    """Return `count` seeds that differ from those of calls with other `entropy`, such as the seeds of other runs."""
+    """Return `count` 32-bit seeds derived from `entropy`, e.g. a run's seed; other `entropy` gives unrelated seeds."""
     return [int(seed) for seed in np.random.SeedSequence(entropy).generate_state(count)]
 
 
 def describe_origin(script: str, arguments: object) -> str:
-    """Return "experiments/training/SCRIPT.py name=value, ..." with the arguments, a dataclass, that can be recorded."""
+    """Return "experiments/training/SCRIPT.py name=value, ..." for a dataclass of arguments, without paths."""
     parts = [f"{key}={value!r}" for key, value in vars(arguments).items() if key not in _UNRECORDED_ARGUMENTS]
     return f"experiments/training/{script}.py {', '.join(parts)}"
 
@@ -50,7 +50,8 @@ def open_run_folder(path: Path, arguments: object, resume: bool, dataset: str, f
     Args:
         path: Path of the folder.
         arguments: Dataclass of the run's arguments; only the same run can be resumed.
-        resume: Whether to continue an existing run.
+        resume: Whether to continue the run in the folder. `ResultsError` is raised if there is none or another run,
+            and, without `resume`, if there is a run.
         dataset: Name of the dataset, to which "auto" was resolved.
         free: Names of further arguments that may change when a run is resumed.
     """
@@ -94,7 +95,7 @@ def write_checkpoint(path: Path, state: dict[str, Any]) -> None:
 
 
 def read_checkpoint(path: Path, restore: Callable[[dict[str, Any]], None]) -> None:
-    """Read a checkpoint and pass its state to a function; no code in the file is run.
+    """Read a checkpoint, without running code in it, and pass its state to a function; if it fails, raise ResultsError.
 
     Args:
         path: File written by `write_checkpoint`.
@@ -141,7 +142,7 @@ def fit_network(
     learning_rate: float,
     weight_decay: float,
 ) -> DenseNetwork:
-    """Train a network on normalized inputs by AdamW, whose learning rate decays to zero by a cosine.
+    """Train a network on normalized inputs by AdamW with cosine decay to zero; return it with its normalization.
 
     Args:
         network: New network of linear layers.

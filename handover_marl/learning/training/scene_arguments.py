@@ -83,8 +83,8 @@ class RlArgs(SetupArgs):
         epochs: Number of passes over the collected decisions in each update.
         minibatch_size: Number of decisions per gradient step.
         learning_rate: Learning rate of Adam.
-        discount: Discount factor; potential-based rewards use it too. With 0.97, two agents that learn together never
-            learn a mean action that closes the gripper: exploration noise closes it late enough.
+        discount: Discount factor, also of potential-based rewards. With 0.97, two agents that learn together rely on
+            exploration noise to close the gripper, and their mean actions never close it.
         gae_lambda: Lambda of generalized advantage estimation.
         clip_range: Largest deviation from 1 of the probability ratio in PPO's objective.
         width: Width of the two hidden layers of each network.

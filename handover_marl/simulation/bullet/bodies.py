@@ -103,7 +103,7 @@ class ArticulatedBody:
         self.set_collision_mask(mask)
 
     def get_link(self, name: str) -> int:
-        """Return the number of a link by its URDF name; numbers differ between Panda files."""
+        """Return the number of a link by its URDF name; raise `SimulationError` if the model has no such link."""
         if name not in self._link_names:
             links = ", ".join(self._link_names)
             raise SimulationError(f"{self._describe_model()} has no link {name!r} (its links: {links}); check its URDF")
@@ -124,7 +124,7 @@ class ArticulatedBody:
         self.client.resetJointStatesMultiDof(self.id, self.joints, [[position] for position in positions])
 
     def set_motor_targets(self, target: list[float]) -> None:
-        """Set the target positions (m, rad) of the body's joint motors, if they have changed."""
+        """Set the target positions (m, rad) of the body's joint motors, unless they equal the last ones."""
         if target == self._target:
             return
         self._target = target

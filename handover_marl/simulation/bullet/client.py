@@ -116,7 +116,7 @@ class BulletClient:
 
 
 def connect(window: bool = False) -> BulletClient:
-    """Start a physics server in this process, by choice with PyBullet's `window`, and return its client."""
+    """Start a physics server in this process and return its client; `window` opens PyBullet's window."""
     if not window:
         return BulletClient(pybullet.DIRECT)
     if sys.platform.startswith("linux"):
@@ -130,7 +130,7 @@ def connect(window: bool = False) -> BulletClient:
 
 
 def _require_screen() -> None:
-    """Check that there is an X server; without one PyBullet ends the whole process."""
+    """Raise `SimulationError` if there is no X server, without which PyBullet would end the whole process."""
     fault = f"no X server answers at DISPLAY={os.environ.get('DISPLAY')}"
     try:
         # The same file that PyBullet opens.
@@ -148,7 +148,7 @@ def _require_screen() -> None:
 
 
 def load_urdf(client: BulletClient, path: Path | str, **options: object) -> int:
-    """Load a URDF file with PyBullet's `loadURDF` and its keyword arguments; return the body number."""
+    """Load a URDF file by PyBullet's `loadURDF`; return the body number. A failure raises `SimulationError`."""
     urdf = Path(path)
     # A missing file may still be in PyBullet's own data folder.
     with contextlib.suppress(OSError):
@@ -163,7 +163,7 @@ def load_urdf(client: BulletClient, path: Path | str, **options: object) -> int:
 
 @cached_by_file(maxsize=256)
 def check_model_files(urdf: Path) -> None:
-    """Check the files of a model before PyBullet loads them; an unchanged model is checked once.
+    """Raise `SimulationError` if a model's files are not safe to load in PyBullet; unchanged files are checked once.
 
     PyBullet crashes on invalid vertex numbers, waits forever if a path is a pipe, and accepts numbers of any size.
     """

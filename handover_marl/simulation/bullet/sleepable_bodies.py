@@ -66,7 +66,7 @@ class SleepableObject(BodyTrajectory):
 
     Attributes:
         body: Body in the simulation; None while the object sleeps.
-        reach: Largest distance (m) of any point of the object from its origin.
+        reach: Upper bound (m) on the distance of any point of the object from its origin.
         targets: Joint targets of the current reference motion, one row per step.
     """
 
@@ -138,7 +138,7 @@ class KinematicHand(BodyTrajectory):
     Attributes:
         bodies: PyBullet body numbers; empty while the hand sleeps or is absent.
         is_awake: Whether the hand is in the PyBullet simulation whenever it is present in the scene.
-        reach: Largest distance (m) of any point of the hand from the origin of its wrist joints.
+        reach: Upper bound (m) on the distance of any point of the hand from the origin of its wrist joints.
     """
 
     def __init__(self, client: BulletClient, urdf: Path, config: HandConfig) -> None:
@@ -161,7 +161,7 @@ class KinematicHand(BodyTrajectory):
         self.is_awake = False
 
     def wake(self, row: int) -> None:
-        """Add the hand to the simulation from step `row` of the reference motion on."""
+        """Mark the hand as awake, so that `move_bodies` adds its bodies to the simulation; `row` is not used."""
         self.is_awake = True
 
     def move_bodies(self, row: int) -> None:

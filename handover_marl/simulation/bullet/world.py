@@ -33,7 +33,7 @@ _WINDOW_PERIOD = 20
 class BulletWorld(World):
     """Base class of the PyBullet worlds: owns the physics client.
 
-    A window belongs to a client of its own, so that it does not change the simulation.
+    A window has a second client of its own, so that it does not change the simulation.
 
     Args:
         config: Constants of the world.
@@ -52,7 +52,7 @@ class BulletWorld(World):
 
     @contextmanager
     def _start_scene(self, scene: Scene) -> Iterator[None]:
-        """Check a scene's files, and show the scene in the window once its models are loaded in this context."""
+        """Check a scene's files before a `with` block that loads its models, and show it in the window afterwards."""
         for urdf in scene.urdfs:
             check_model_files(urdf)
         self._scene, self._release_pending = scene, False
@@ -78,7 +78,7 @@ class BulletWorld(World):
         )
 
     def read_agent_joints(self) -> AgentJoints:
-        """Return the current joint positions of robot (9,) and human hand (51,), or None, float32 (rad, m)."""
+        """Return the current joint positions of robot and human hand, float32 (rad, m); `hand` is None if absent."""
         return AgentJoints(self._loaded_workcell.panda.read_joint_positions(), self._read_hand_joints())
 
     def read_joints_float64(self) -> npt.NDArray[np.float64]:

@@ -118,7 +118,7 @@ class Framebuffer:
         self._depth[is_hit], self._owner[is_hit] = depth[is_hit], _GROUND
 
     def clear(self, pixels: Pixels) -> None:
-        """Make some pixels background."""
+        """Set the pixels with the numbers `pixels` (n,) to background."""
         self._depth[pixels], self._owner[pixels] = self._camera.empty_depth, _BACKGROUND
 
     def find_below_ground(self, pixels: Pixels) -> npt.NDArray[np.bool_]:
@@ -204,7 +204,7 @@ def _compute_brightness(normals: npt.NDArray[np.floating]) -> Float64Array:
 
 
 def _shade(colors: npt.NDArray[np.integer], brightness: Float64Array) -> npt.NDArray[np.uint32]:
-    """Return colours (n, 3) at a brightness (n,), packed in one number each."""
+    """Multiply colours (n, 3) by a brightness (n,); return each colour as one packed 32-bit number (n,)."""
     shaded = np.empty((len(colors), 4), np.uint8)
     for channel in range(3):
         np.multiply(colors[:, channel], brightness, out=shaded[:, channel], casting="unsafe")

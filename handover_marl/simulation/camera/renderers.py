@@ -11,7 +11,7 @@ _RAY_MODULES = ("embreex", "trimesh")
 
 
 def resolve_renderer(name: str, physics: str) -> str:
-    """Return the renderer that a name stands for, "bullet" or "rays", after a check that it is installed.
+    """Return the renderer that a name stands for, "bullet" or "rays"; raise `OptionError` if it is not installed.
 
     Args:
         name: Name of the renderer or "auto", one of `RENDERERS`.
@@ -28,7 +28,7 @@ def resolve_renderer(name: str, physics: str) -> str:
 
 
 def check_rendering(what: str = "rendering") -> None:
-    """Check that PyBullet, which renders scenes, is installed; `what` names the operation in the error."""
+    """Raise `OptionError` if PyBullet, which renders scenes, is not installed; `what` names the operation in it."""
     require_pybullet(
         what,
         "without PyBullet, render a 3D replay page with --out FILE.html, and wrist-camera images with renderer='rays'",

@@ -240,7 +240,7 @@ class WarpCamera:
             return xp.sort(xp.where(is_labelled, chosen, n_pixels), axis=1)
 
     def close(self) -> None:
-        """Free the meshes; no world can be rendered until its next reset."""
+        """Free the meshes; a world can be rendered again only after `load_scene`."""
         self._device.synchronize()
         self._bank = None
         self._slots = self._slots[:, :0]
@@ -274,7 +274,7 @@ class WarpCamera:
     def _make_kernel_inputs(
         self, bank: MeshBank, rows: AnyArray, states: WorldState, camera: Pinhole
     ) -> "list[warp.array]":
-        """Make the first inputs of `render_images`: meshes of the worlds in the frame of the camera, and the camera."""
+        """Make the inputs of `render_images` up to `pinholes`: meshes, textures, and the poses of the cameras."""
         xp = self._arrays.xp
         origins, rotations = self._compute_frames(rows, states)
         mount = self._mounts[camera.link]

@@ -68,9 +68,8 @@ def cast_ray(
 ) -> FaceHit:
     """Return the first hit of a ray from the camera on a front face of a mesh, from depth `near` to `far` (m).
 
-    Without a hit, `face` of the result is -1.
-
-    `rotation` and `origin` are the pose of the mesh in the camera's frame, in which `ray` is a direction with z = 1.
+    The pose of the mesh in the camera's frame is `rotation` and `origin` (m); `ray` is a direction with z = 1 in that
+    frame. Hits on back faces are passed over, up to 32. Without a hit, `face` of the result is -1.
     """
     mesh_from_camera = warp.transpose(rotation)
     start, direction = -(mesh_from_camera * origin), mesh_from_camera * ray
@@ -104,7 +103,7 @@ def sample_texture(
     face: int,
     weights: warp.vec2,
 ) -> warp.vec3:
-    """Return the colour, 0 to 255, of the point of a face with these weights of its second and third corner."""
+    """Return the colour, 0 to 255, of a point on a face, given by the weights of the second and third corner."""
     origin, texture = corners[face, 0], textures[face]
     place = origin + weights[0] * (corners[face, 1] - origin) + weights[1] * (corners[face, 2] - origin)
     column = warp.min(int((place[0] - warp.floor(place[0])) * float(texture[1])), texture[1] - 1)
@@ -144,7 +143,7 @@ def render_images(
     segmentation: warp.array2d[warp.uint8],
     rgb: warp.array3d[warp.uint8],
 ) -> None:
-    """Render the visible pixels of the wanted bodies of w worlds, in front of all else; one thread per pixel.
+    """Render w worlds, one thread per pixel: a wanted body where nothing occludes it, else ground or background.
 
     Args:
         meshes: Identifiers (w, s) of the meshes; 0 for none.

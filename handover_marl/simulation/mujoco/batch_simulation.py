@@ -64,7 +64,7 @@ class WorldData:
         self.step_state_size = int(mujoco.mj_stateSize(scene.model, _STEP_STATE))
 
     def select_model(self, hand_collides: bool) -> "mujoco.MjModel":
-        """Return the variant of the scene's model for the coming steps, by whether the hand can collide in them."""
+        """Return the variant of the scene's model for the present `released`, in which the hand collides or not."""
         key = self.released, hand_collides
         if key not in self._variants:
             self._variants[key] = select_variant(self.scene, *key)
@@ -195,7 +195,7 @@ class BatchSimulation:
         self._robots: dict[RobotOnlyModel, RobotOnlySimulation] = {}
 
     def load_scene(self, scene: SceneModel) -> WorldData:
-        """Return a world of a scene in the initial state of its model."""
+        """Create the data of a world of a scene, in the initial state of the scene's model."""
         layout = _get_layout(scene.model)
         batch = self._batches.pop(layout, None)
         if batch is None or not _accepts(batch, scene.model):

@@ -21,7 +21,7 @@ def configure_engine() -> None:
 
 
 def check_warnings(batch: Batch) -> None:
-    """Raise an error if MuJoCo warned in the world of a batch."""
+    """Raise `SimulationError` if MuJoCo warned in the first world of a batch."""
     details, counts = batch.warning[0].T
     if not counts.any():
         return

@@ -194,7 +194,7 @@ class GraspValidator:
         return False
 
     def _hold_object(self, is_held: bool) -> None:
-        """Turn the motors that hold the object on or off."""
+        """Switch on or off the motors that hold the object."""
         self._model.actuator_forcerange[self._actuators] = self._force_ranges if is_held else 0.0
 
     def _close_fingers(self) -> None:

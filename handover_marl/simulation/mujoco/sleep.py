@@ -146,7 +146,7 @@ class SleepState:
         self._first, self._free = 0, 0
 
     def advance_rows(self, rows: int) -> None:
-        """Count rows from the start of the next reference motion, which follows `rows` steps of the current one."""
+        """Renumber rows for the next reference motion, which begins after `rows` steps of the current one."""
         self._first -= rows
 
     @staticmethod
@@ -156,7 +156,7 @@ class SleepState:
         targets: Sequence[list[float]],
         hands: Sequence[BodyTrajectory],
     ) -> None:
-        """Simulate the robots alone to the end of their reference motions; store when a body first comes near each.
+        """Simulate the robots alone to the end of their reference motions; store when a body is first near each robot.
 
         A body is near if the spheres around it and around the robot's links may touch.
 

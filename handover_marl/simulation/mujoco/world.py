@@ -81,7 +81,7 @@ class MujocoWorld(RolloutWorld):
 
     @property
     def data(self) -> WorldData:
-        """Model and state of the world."""
+        """Model and state of the world; raises `ResetNeededError` before `reset`."""
         if self._data is None:
             raise ResetNeededError("the world has no scene; call reset() first")
         return self._data
@@ -289,7 +289,7 @@ class MujocoWorld(RolloutWorld):
         )
 
     def read_agent_joints(self) -> AgentJoints:
-        """Return the current joint positions of robot (9,) and human hand (51,), or None, float32 (rad, m)."""
+        """Return the current joint positions of robot and human hand, float32 (rad, m); `hand` is None if absent."""
         robot, hand = self.read_joints_float64(), self._get_hand_joints()
         return AgentJoints(robot.astype(np.float32), None if hand is None else hand.astype(np.float32))
 
@@ -328,12 +328,12 @@ class MujocoWorld(RolloutWorld):
         return self.hand.get_joints(self.row) if self.hand.is_present_after(self.row) else None
 
     def _get_coming_controls(self, steps: int) -> Array:
-        """Return the part (steps, c) of the computed controls for a number of coming steps."""
+        """Return the computed controls (steps, c) of the next `steps` steps."""
         first = self.row + 1 - self.controls_row
         return self.controls[first : first + steps]
 
     def _can_touch_hand(self, steps: int) -> bool:
-        """Return whether the hand can touch the robot within a number of coming steps."""
+        """Return whether the hand can touch the robot within the next `steps` steps."""
         return self.row + 1 - self.controls_row + steps > self.hand_free_steps
 
 

@@ -144,7 +144,7 @@ def test_incomplete_folders_are_refused(population: Path, evaluated: Path, tmp_p
     check(OptionError, "at least one folder")
     check(OptionError, "must have one evaluation of 'hold' with the split val, got another one", evaluated, out)
     check(OptionError, "must be of population", evaluated, population=write_population(tmp_path, version="2.0"))
-    check(ResultsError, "is not finished", tmp_path)
+    check(ResultsError, "if it was interrupted", tmp_path)
     content = json.loads((out / "strangers.json").read_text())
     pairs = [path.parent for path in sorted(second.glob("*/config.yaml"))]
     for pair in pairs:

@@ -87,7 +87,7 @@ class DataGenerator:
         self._load_assets = functools.cache(self._read_assets)
 
     def plan(self, number: int) -> ExpertPlan:
-        """Return the expert's plan in the scenario with a number; the plan has no goals if no grasp is reachable."""
+        """Return the expert's plan in the scenario with a number; it has no goals if `GraspExpert.plan` finds none."""
         return self._expert.plan(self._scenarios.sample(number))
 
     def collect_states(
@@ -154,7 +154,7 @@ class DataGenerator:
 
 
 def list_shared_scenes(data: Dataset, setups: Sequence[str]) -> tuple[int, ...]:
-    """Return the scenes in the training splits of all given setups whose object has known grasps."""
+    """Return scenes with known grasps in the training splits of all setups; raise OptionError if there are none."""
     common = set.intersection(*(set(data.list_scenes(setup, "train")) for setup in setups)) if setups else set[int]()
     scenes = tuple(scene for scene in sorted(common) if data.load_grasps(data.load_info(scene).target_name) is not None)
     if not scenes:

@@ -204,7 +204,7 @@ def find_occluded_points(points: npt.NDArray[np.float32], hand: Array, occluder:
 
 
 class ExpertPlan(NamedTuple):
-    """Plan of the expert: goal grasps (none if none is reachable) and a trajectory to the first one.
+    """Plan of the expert: goal grasps and a trajectory to the first one; both are empty if planning fails.
 
     Attributes:
         goals: (g, 7) world poses of the hand link, quaternions xyzw, the planner's goal first.
@@ -243,7 +243,7 @@ class GraspExpert:
         self._planner = Planner(context.panda_urdf, np.array(panda.start_joints[:ARM_DOF]), _PLANNER)
 
     def plan(self, scenario: ImitationScenario) -> ExpertPlan:
-        """Return the expert's plan in a scenario; the plan has no goals if no grasp is reachable."""
+        """Return the expert's plan in a scenario; it has no goals if no grasp is reachable or no path is found."""
         goals, costs = self._find_goals(scenario)
         if not len(goals):
             return _NO_PLAN

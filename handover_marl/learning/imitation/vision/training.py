@@ -1,7 +1,7 @@
 """Training, losses and metrics of the grasp network. The module needs the extra `train`.
 
-The distance of two grasps is the mean over three points of the gripper (hand and both finger pads). A rotation of the
-gripper by pi about its z axis does not change it.
+The distance of two grasps is the mean distance between three points of the gripper (hand and both finger pads) at the
+grasps. A rotation of the gripper by pi about its z axis does not change it.
 """
 
 import math

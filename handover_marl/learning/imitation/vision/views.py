@@ -116,7 +116,7 @@ class LabelledFrame:
     Attributes:
         frame: Index of the frame in the recording (1 ms).
         object_pose: (7,) pose of the object in the world, quaternion xyzw.
-        known: Known grasps of the object, n in number.
+        known: Known grasps of the object and offset copies of them, n in number.
         quality: (n,) qualities of the grasps at this frame.
     """
 
@@ -141,7 +141,7 @@ class RecordedViewRenderer:
         self._arm = ArmInWorld.for_panda(self._context.panda_urdf, self._context.panda, LIMIT_PADDING)
 
     def draw_waiting_joints(self, noise_std: float, rng: Rng) -> Array:
-        """Return random arm joints (7,) in rad near one of the two waiting poses."""
+        """Return arm joints (7,) in rad: one of the two waiting poses, with Gaussian noise of `noise_std` (rad)."""
         waiting = (WAITING_JOINTS, self._context.panda.start_joints)[rng.integers(2)]
         joints: Array = np.array(waiting[:ARM_DOF]) + rng.normal(0.0, noise_std, ARM_DOF)
         return joints
@@ -272,7 +272,7 @@ class ViewRenderer(RecordedViewRenderer):
         return *points, grasps, quality, center, velocity, motion
 
     def _sample_joints(self, labelled: LabelledFrame, rng: Rng) -> Array:
-        """Return random arm joints (7,) in rad from which to render a frame: waiting, before a grasp or between."""
+        """Return random arm joints (7,) in rad for a view: before a good, reachable grasp, waiting, or between."""
         kind = rng.random()
         start = self.draw_waiting_joints(_JOINT_NOISE_STD, rng)
         good = labelled.quality > MIN_QUALITY

@@ -146,8 +146,8 @@ class WarpGroup:
     def start_rollout(self, rows: AnyArray) -> WarpRollout:
         """Copy worlds to the engine and return a rollout of them.
 
-        On a GPU the number of simulated worlds is rounded up to a power of two (at most the size of the group), because
-        a CUDA graph is captured for each number. The additional worlds are copies, whose results are discarded.
+        On a GPU the number of simulated worlds is rounded up to a power of two, at most all n worlds of the batch, as a
+        CUDA graph is captured for each number. The additional worlds are copies, whose results are discarded.
 
         Args:
             rows: (r,) indices of worlds in this group.
@@ -231,7 +231,7 @@ class WarpGroup:
         return self.scene.contact_sensors.compute_contacts(data, qpos, released)
 
     def _set_weights(self, rollout: WarpRollout) -> None:
-        """Apply the weights of released target objects as external forces (N); others get none."""
+        """Set the external force (N) on each target object to its weight if it is released, else to zero."""
         weights = self._config.gravity * self._target_mass[rollout.rows][rollout.places]
         body = int(self.scene.objects[0])
         self._views[_FORCES][: len(rollout.places), body, 2] = weights * rollout.released

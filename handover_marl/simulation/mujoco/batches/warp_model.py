@@ -43,7 +43,7 @@ class MeshPool:
         self._numbers: dict[bytes, int] = {}
 
     def add(self, model: "mujoco.MjModel") -> npt.NDArray[np.int_]:
-        """Add the meshes of a model that are not in the pool yet, and return the pool's numbers of all its meshes."""
+        """Add a model's meshes that are not in the pool yet; return the pool number of each mesh of the model."""
         numbers = []
         for mesh in range(model.nmesh):
             start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
@@ -133,7 +133,7 @@ def is_device_available(device: str) -> bool:
 
 
 def load_padded_model(assets: SceneAssets, config: PhysicsConfig) -> SceneModel:
-    """Compile the model of a scene; absent objects and hulls pad it to a layout that it shares with other scenes."""
+    """Compile a scene's model, padded to a layout that scenes share; raise `OptionError` if a shape is not a mesh."""
     parts = [load_object_parts(urdf) for urdf in assets.objects]
     for urdf, own in zip(assets.objects, parts, strict=True):
         if any(part.kind != "hull" for part in own):
@@ -243,7 +243,7 @@ class WarpModel:
         self.select_released(numbers, released)
 
     def select_released(self, numbers: AnyArray, released: AnyArray) -> None:
-        """Set which targets in the first m rows are released, by a mask (m,); `numbers` (m,) are the rows' scenes."""
+        """Set whether the targets in rows 0 to m - 1 are released, a mask (m,); `numbers` (m,) are the rows' scenes."""
         for name in _RELEASED_FIELDS:
             rows, own = self._rows[name], (self._scenes[key].rows[numbers] for key in (name + _RELEASED, name))
             rows[: len(numbers)] = get_namespace(rows).where(expand_mask(released, rows), *own)

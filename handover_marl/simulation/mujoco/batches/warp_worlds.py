@@ -123,7 +123,7 @@ class WarpWorlds(Worlds):
         self._n_objects = arrays.zeros(count, "int64")
 
     def reset(self, row: int, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
-        """Load a scene into world `row`; set hand and objects to `start` (of one row), the robot to `robot_joints`."""
+        """Load a scene into the world with index `row`, and set all bodies to their start; see `World.reset`."""
         model = load_padded_model(scene.assets, self._config)
         layout = compute_layout(model)
         if layout not in self._groups:
@@ -216,7 +216,7 @@ class WarpWorlds(Worlds):
         self._group_of = [None] * self._count
 
     def _split(self, rows: AnyArray) -> list[tuple[WarpGroup, AnyArray]]:
-        """Return the groups of worlds, each with the indices in `rows` of its worlds."""
+        """Return each group that has worlds in `rows` (r,), with the positions of its worlds in `rows`."""
         groups = [self._group_of[row] for row in to_numpy(rows).tolist()]
         if None in groups:
             raise ResetNeededError("a world has no scene; call reset() first")

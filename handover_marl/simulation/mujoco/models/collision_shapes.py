@@ -157,7 +157,7 @@ def add_collision_geom(spec: "mujoco.MjSpec", body: "mujoco.MjsBody", part: Conv
 
 
 def set_inertia(body: "mujoco.MjsBody", link: UrdfLink, parts: list[ConvexPart]) -> None:
-    """Set mass and inertia of a MuJoCo body to the values that Bullet gives its link."""
+    """Set a MuJoCo body's mass, center of mass and (if it has parts) inertia to the values that Bullet uses."""
     body.explicitinertial = True
     body.mass, body.ipos = link.mass, link.center
     if parts:

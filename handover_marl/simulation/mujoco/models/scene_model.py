@@ -78,8 +78,8 @@ class SceneModel:
         hand: Mocap numbers of the k bodies of the hand.
         hand_links: Link numbers (k,) of the bodies of the hand.
         robot_only: Model without hand and objects, in which robot bodies have the same numbers.
-        hand_reach: Largest distance of any point of the hand from the origin of its wrist joints (m).
-        object_reaches: Largest distances (m,) of any point of each object from its origin, in m.
+        hand_reach: Upper bound on the distance of any point of the hand from the origin of its wrist joints (m).
+        object_reaches: Upper bounds (m,) on the distance of any point of each of m objects from its origin, in m.
     """
 
     model: "mujoco.MjModel"
@@ -208,13 +208,13 @@ def _load_robot_only(table_and_panda: tuple[Path, Path], friction: float, config
 
 @cached_by_file(512, read_model_mtimes)
 def _compute_reach(urdf: Path, link: int) -> float:
-    """Return the largest distance (m) from a link's origin to the shapes that it carries, at any joint angles."""
+    """Return an upper bound (m) on the distance from a link's origin to the shapes it carries, at any joint angles."""
     tree = read_tree(urdf)
     return tree.compute_reach(link, compute_bounding_spheres(urdf, tree))
 
 
 def _as_slice(places: Iterable[int]) -> slice:
-    """Return consecutive indices as a slice, so that arrays are read as views."""
+    """Return indices as a slice, so that arrays are read as views; raise `SimulationError` if they have gaps."""
     found = list(places)
     if found != list(range(found[0], found[0] + len(found))):
         raise SimulationError(f"MuJoCo's numbers of the model's parts must be consecutive, got {found}; report this")

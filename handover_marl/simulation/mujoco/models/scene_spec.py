@@ -100,7 +100,7 @@ def format_rotation_reference_name(number: int) -> str:
 
 
 def format_hand_name(number: int) -> str:
-    """Return the MuJoCo body name of one of the human hand's links, by its place in `hand_links`."""
+    """Return the MuJoCo body name of a link of the human hand, by its index in `SceneModelBuilder.hand_links`."""
     return f"hand{number}"
 
 
@@ -270,7 +270,7 @@ class SceneModelBuilder:
         torsion: float = 0.0,
         priority: int = 0,
     ) -> None:
-        """Add the convex parts of a link to a body as geoms with these contact parameters."""
+        """Add the convex parts of a link to a body as geoms; other arguments are as in `_set_contact_parameters`."""
         for part in parts:
             geom = add_collision_geom(self.spec, body, part)
             if part is _ABSENT_HULL:
