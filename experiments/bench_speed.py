@@ -64,8 +64,8 @@ class Args(SetupArgs):
 def measure_processor(args: Args) -> str:
     """Measure environments on the processor during small random motions, and return a table of their speed.
 
-    The table has a row for each engine and size of the batch: physics steps per second of wall-clock time, and its
-    ratio to the speed of the engine "fast".
+    The table has a row for each engine and each kind of batch, with its physics steps per second of wall-clock time and
+    the ratio to the speed of the engine "fast".
     """
     where: dict[str, Any] = {"data_dir": args.data_dir, "dataset": args.dataset}
     where["control_period"] = args.control_period
@@ -112,8 +112,8 @@ def step_randomly(env: HandoverEnv | ParallelVectorEnv, decisions: int, rng: np.
 def measure_cameras(args: Args) -> str:
     """Measure observations of the wrist camera, and return a table: a row for each mode and image size.
 
-    It has the observations per second of wall-clock time in two processes, and the processor time of one observation
-    with its control step in this process. The first row has no camera.
+    The table has the observations per second of wall-clock time in two processes, and the processor time of one
+    observation with its control step in this process. The first row has no camera.
     """
     sizes: dict[tuple[str, int], str] = {(STATE, 224): "state, no camera", (POINTCLOUD, 224): "points"}
     sizes |= {("rgb+depth", side): f"RGB-D, {side} x {side}" for side in (224, 128)}
@@ -177,7 +177,7 @@ def measure_warp(args: Args, count: int) -> tuple[float, float]:
 
 
 def main(args: Args) -> None:
-    """Measure and print a table, machine and date."""
+    """Measure the speed that the arguments select, and print it as a table with machine and date."""
     if args.cameras:
         print(measure_cameras(args))
     elif args.warp:

@@ -5,9 +5,9 @@
     python experiments/make_results.py --measure yang2021 --data-dir DIR   # evaluate on all test splits before
 
 `docs/results/data/episodes/` has a file with the outcome of every scene for each evaluation of a test split by the
-official protocol. `--add` writes these files, and the use of the test split to `test_use.csv`. `--measure` evaluates
-receivers in exact physics; a scene in the test splits of several setups is
-simulated once, and an interrupted run continues. Each template `docs/results/data/NAME.md.jinja` becomes the page
+official protocol. `--add` writes these files, and notes the use of the test split in `test_use.csv`. `--measure`
+evaluates receivers in exact physics; a scene in the test splits of several setups is simulated once, and an
+interrupted run continues. Each template `docs/results/data/NAME.md.jinja` becomes the page
 `docs/results/NAME.md`. Differences are computed by `handover-marl compare`.
 """
 
@@ -171,7 +171,7 @@ def measure(
 
 
 def add_evaluation(folder: Path, purpose: str) -> None:
-    """Store the outcomes in a result folder, in place of an earlier evaluation, and log the use of the test split."""
+    """Store the outcomes of a result folder, replacing an earlier evaluation, and log that the test split was used."""
     report = handover_marl.load_report(folder)
     metadata = report.metadata
     protocol = (metadata.world, metadata.split, metadata.giver, metadata.physics, metadata.inference_time)

@@ -163,7 +163,7 @@ class PandaConfig(CheckedConfig):
 
 @dataclass(frozen=True)
 class ObjectConfig(CheckedConfig):
-    """Motor parameters of the objects; an object moves on three prismatic, three continuous joints.
+    """Motor parameters of the objects; an object moves on three prismatic and three continuous joints.
 
     Attributes:
         translation_motor: Motor parameters of an object's prismatic joints.

@@ -97,6 +97,7 @@ class PointCloudMemory:
         """Replace the cloud by a random part of the object's points in a view; a view without points changes nothing.
 
         Points (n, 3) float32 are in the hand link's frame (m), whose pose (4, 4) in the base frame is `base_from_hand`.
+        If the cloud's mean has moved by more than 0.1 m, up to five decisions are added to `remaining`.
         """
         if len(points) == 0:
             return
@@ -234,7 +235,7 @@ class GaddpgReceiver(PhasedReceiver):
             self._close_ms = self._wait_ms + (self._decided + 1) * self.step_ms
 
     def _decide(self, observation: Observation) -> Array:
-        """Return the target joints (9,) (rad, m) that the network's next decision leads to."""
+        """Return the target joints (9,) (rad, m) of the next decision; the start joints before any view."""
         points = observation["wrist_object_cloud"][: int(observation["wrist_point_counts"][0])]
         pose = self._base_from_hand(observation)
         self.memory.update(points, pose)

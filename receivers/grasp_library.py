@@ -15,7 +15,7 @@ Array = npt.NDArray[np.float64]
 
 @functools.lru_cache(maxsize=1024)
 def load_gripper_poses(grasps: Callable[[str], Array | None], object_name: str) -> Array | None:
-    """Return the known gripper poses (n, 7), xyz and xyzw, in the frame of an object class, or None; cached.
+    """Return the known gripper poses (n, 7), xyz and xyzw, in an object class's frame, or None without grasps; cached.
 
     The function `grasps` is `PolicyContext.load_grasps`. For poses of the hand link, see `load_hand_poses`.
     """
@@ -24,7 +24,7 @@ def load_gripper_poses(grasps: Callable[[str], Array | None], object_name: str) 
 
 
 def load_hand_poses(grasps: Callable[[str], Array | None], object_name: str) -> Array | None:
-    """Return the hand link's poses (n, 7), xyz and xyzw, at an object class's known grasps in its frame, or None."""
+    """Return hand link poses (n, 7), xyz and xyzw, at an object class's grasps in its frame; None without grasps."""
     grippers = load_gripper_poses(grasps, object_name)
     return None if grippers is None else compose(grippers, np.array(GRIPPER_FROM_HAND))
 
@@ -33,8 +33,8 @@ class GraspTable:
     """Grasps of object classes in arrays (c, g, ...), padded with zeros to the largest number of grasps of a class.
 
     The function `load` is called when a class is needed first: it takes the class number, and returns NumPy arrays
-    (g, ...) of the class's grasps, or None without grasps. `arrays` has a padded array for each of them; `is_grasp`
-    (c, g) is False at padding.
+    (g, ...) of the class's grasps, or None without grasps. `arrays` has a padded array (c, g, ...) for each array that
+    `load` returns; `is_grasp` (c, g) is False at padding.
     """
 
     def __init__(self, load: Callable[[int], tuple[Array, ...] | None], arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
@@ -46,7 +46,7 @@ class GraspTable:
         self.is_grasp = arrays.zeros((0, 0), "bool")
 
     def find(self, classes: AnyArray) -> AnyArray:
-        """Return the index in `arrays` of each class number (r,), -1 for a class without grasps; load new classes."""
+        """Return the row in `arrays` of each class number (r,), -1 for a class without grasps; load new classes."""
         numbers, n_before = to_numpy(classes).astype(int).tolist(), len(self._known)
         for number in sorted(set(numbers) - self._index.keys()):
             known = self._load(number)

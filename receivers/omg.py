@@ -107,7 +107,7 @@ class OmgReceiver(PhasedReceiver):
         self.has_planned, self.plan = False, None
 
     def act(self, observation: Observation) -> Action:
-        """Return target joint positions (9,): arm (rad), fingers (m)."""
+        """Return target joint positions (9,): arm (rad), fingers (m); without a plan, keep the waiting pose."""
         self._now_ms = round(1000.0 * float(observation["time"][0]))
         elapsed = self._now_ms - self._wait_ms
         if elapsed < 0:
@@ -169,7 +169,7 @@ class OmgReceiver(PhasedReceiver):
         return replace(hand, starts=starts, ends=ends)
 
     def _plan_retreat(self, observation: Observation) -> list[Array]:
-        """Return arm joints (7,) along the straight line to the goal, with free rotation of the hand link."""
+        """Return arm joints (7,) on the straight line to the goal, with free rotation; if IK fails, repeat the last."""
         hand = observation["gripper_pose"][:3].astype(np.float64)
         goal = np.array(self.context.protocol.goal_center)
         count = max(1, math.ceil(float(np.linalg.norm(goal - hand)) / RETREAT_STEP))

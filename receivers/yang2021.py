@@ -209,7 +209,7 @@ class Yang2021Receiver(ArrayPolicy, Receiver):
         return self._arrays.asarray(np.where(waits[:, None], panda.WAITING_JOINTS, actions).astype(np.float32))
 
     def _find_places(self, rows: Indices, approaches: Flags, hands: npt.NDArray[np.float32]) -> tuple[Flags, Flags]:
-        """Return whether hand links at poses (r, 7) are on the way from standoff to grasp, and at the grasp, (r,) each.
+        """Return masks (r,) of hand links, at poses (r, 7), between standoff and grasp, and of hand links at the grasp.
 
         Both are False where `approaches` (r,) is False.
         """

@@ -90,7 +90,7 @@ def join_environment_state(observation: Observation) -> npt.NDArray[np.float32]:
 def make_env(
     n_envs: int = 1, use_async_envs: bool = False, cfg: Any = None
 ) -> dict[str, dict[int, gymnasium.vector.VectorEnv]]:
-    """Make the environments that LeRobot asks for.
+    """Make the environments that LeRobot asks for, as `{"handover": {0: vector_environment}}`.
 
     Args:
         n_envs: Number of environments.

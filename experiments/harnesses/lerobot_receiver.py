@@ -22,9 +22,9 @@ from handover_marl.receivers import PolicyContext, Receiver
 
 
 class LeRobotReceiver(Receiver):
-    """Receiver with a policy of LeRobot that observes the robot's joints and what else it was trained with.
+    """Receiver with a policy of LeRobot, which observes the robot's joints and the other inputs of its training.
 
-    The wrist camera's image is observed with the mode "rgb", the true state of objects and hand with "state".
+    These can be the wrist camera's image (mode "rgb") and the true state of objects and hand (mode "state").
 
     Args:
         context: Robot, task and known grasps of the objects; not used.

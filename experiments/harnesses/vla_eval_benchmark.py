@@ -61,7 +61,7 @@ class HandoverBenchmark(StepBenchmark):
         return self._observation
 
     def step(self, action: dict[str, Any]) -> StepResult:
-        """Move the hand link by `actions` (7,) in [-1, 1] for one control period."""
+        """Apply `actions` (7,) in [-1, 1] for a control period: six move the hand link, the last closes the gripper."""
         self._scheme.set_outputs(np.asarray(action["actions"], dtype=np.float64).reshape(-1)[:7])
         targets = self._scheme.compute_action(self._observation)
         self._observation, reward, terminated, truncated, info = self._env.step(targets)

@@ -27,7 +27,7 @@ class Args(PairArgs):
     """Arguments of the training of giver and receiver by PPO.
 
     Attributes:
-        critic: Features that an agent's value function observes: "own", or "both" for those of both agents.
+        critic: Features that an agent's value function observes: "own", or "both" for the features of both agents.
         workers: Number of processes that simulate the environments.
     """
 

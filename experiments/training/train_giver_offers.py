@@ -119,7 +119,13 @@ class Offers(NamedTuple):
 
 
 class Collector:
-    """Collector of offers from environments with one receiver, which are simulated in a process of their own."""
+    """Collector of offers from environments with one receiver, which are simulated in a process of their own.
+
+    Args:
+        number: Number of the collector, which selects its receiver.
+        args: Arguments of the training.
+        known: Number of episodes of earlier runs, part of the seed.
+    """
 
     def __init__(self, number: int, args: Args, known: int) -> None:
         self.args, self.receiver = args, number % len(args.receivers)

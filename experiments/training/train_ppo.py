@@ -5,9 +5,9 @@
 
 A receiver learns when to close the gripper and how to correct the approach to a grasp (action scheme `grasp_servo`);
 an episode of a giver is one decision, the pose in which it holds out the object (action scheme `offer`). Both learn
-from the reward of a success. With `--initial FILE` the training of a policy file continues. That of a receiver of
-`train_receiver_dagger.py`, which moves the gripper without a script, needs a small `--learning-rate`, and has not
-raised the success rate so far.
+from the reward of a success. With `--initial FILE` the training of a policy file continues. For a receiver from
+`train_receiver_dagger.py`, which moves the gripper without a script, this needs a small `--learning-rate`, and it has
+not raised the success rate so far.
 
 The script needs the extra `train`, and with `--backend warp` the extra `warp`: environments and networks are then on
 one device, for example `--backend warp --device cuda --num-envs 1024`. The policy file runs without PyTorch:
@@ -162,7 +162,7 @@ class Collector:
         self.features, self.outcomes = self._join(observations), list[bool]()
 
     def make_model(self, agent: str, gripper_std: float | None, initial: DenseNetwork | None) -> ActorCritic:
-        """Make the networks of an agent; `gripper_std` is the initial deviation of the last output if it differs."""
+        """Make the networks of an agent; `gripper_std`, unless None, is the initial deviation of the last output."""
         observed, actions = self.envs.single_observation_space, self.envs.single_action_space
         if len(self.agents) > 1:
             observed, actions = observed(agent), actions(agent)
@@ -236,7 +236,7 @@ def compute_advantages(
 ) -> torch.Tensor:
     """Return generalized advantage estimates (k, n) of k steps of n environments (Schulman et al., ICLR 2016).
 
-    `continues` (k, n) is 0 in steps that end an episode, else 1; `last_values` (n,) are those after the last step.
+    `continues` (k, n) is 0 in steps that end an episode, else 1; `last_values` (n,) are the values after the last step.
     """
     advantages, advantage, next_values = torch.zeros_like(rewards), torch.zeros_like(last_values), last_values
     for step in reversed(range(len(rewards))):

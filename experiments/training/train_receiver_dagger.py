@@ -5,7 +5,7 @@ r"""Train a receiver to imitate another one by DAgger (Ross, Gordon and Bagnell,
     python experiments/training/train_receiver_dagger.py --data-dir DIR --expert learned:runs/servo.npz \
         --out runs/dagger
 
-In each round, batches of episodes are simulated together. In the first round the expert acts, with random disturbances.
+In each round, batches of episodes are simulated together, with random disturbances. In the first round the expert acts.
 In later rounds, the network acts first; the expert takes over at a random time, or when the network closes the gripper,
 and shows how to go on from there. Decisions of the expert are recorded. The network is trained anew after each round.
 It maps features to the outputs of an action scheme, such as motions of the gripper, without a script. The folder gets

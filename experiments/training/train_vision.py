@@ -38,8 +38,8 @@ class Args(ImitationArgs):
         robot: Robot model: panda or panda_camera.
         views: Number of rendered camera views per scene.
         stride: Use every n-th scene of the training split.
-        extra_datasets: Other data sets, whose training scenes (of their first setup) are used too; `data_dir` is not
-            theirs.
+        extra_datasets: Other data sets, whose training scenes (of their first setup) are used too; `data_dir` does not
+            apply to them.
         views_seed: Seed of the views; default: `seed`.
     """
 
@@ -52,7 +52,7 @@ class Args(ImitationArgs):
 
 
 def load_views(args: Args, run: ImitationRun, dataset: str, scenes: Sequence[int]) -> GraspViews:
-    """Return the views of scenes of a data set; render those that are not in the folder of the run."""
+    """Return the views of scenes of a data set; render views that are not in the folder of the run."""
     folder, data_dir = run.folder / "views", args.data_dir
     if dataset != args.dataset:
         folder, data_dir = folder / re.sub(r"\W+", "-", dataset), None

@@ -26,7 +26,7 @@ class EnvConfig(SceneConfig):
     Attributes:
         split: Split of the setup: train, val or test.
         control_period: Time for which an action holds (s); a whole number of milliseconds, at most 5 s.
-        render_mode: None, "rgb_array" (needs no screen) or "human" (PyBullet's window).
+        render_mode: None, "rgb_array" (needs no screen) or "human" (PyBullet's window, in exact and fast physics).
         camera: Camera of the "rgb_array" images; default: `CameraConfig()`, which shows the scene from the side.
         rewards: Preset rewards "sparse", 1 for a completed handover, or "shaped", with potential-based
             shaping and costs in addition; `RewardWeights`, weights of reward terms; a function of a `Transition` that

@@ -248,7 +248,7 @@ class StepData:
 
 
 class WeightedRewardSource:
-    """Source of the library's reward terms (`TERMS`) in `count` episodes, each multiplied by its weight.
+    """Source of the library's reward terms (`TERMS`), each multiplied by its weight, in `count` episodes.
 
     `goal` (3,) is the position to which the gripper must bring the object, world frame (m).
     """

@@ -20,8 +20,8 @@ _NO_CONTACTS = Contacts()
 class Transition:
     """One control step: observations before it, actions, observations after it.
 
-    World frame; m, rad, s, N; quaternions xyzw. All arrays are read-only copies. Observations and
-    actions are the environment's own, not the values of a wrapper, features or action scheme.
+    World frame; m, rad, s, N; quaternions xyzw. Observations and actions are read-only copies of the environment's
+    own, not the values of a wrapper, features or action scheme.
 
     Attributes:
         observations: Observation before the step, by agent ("giver", "receiver"); elements of the

@@ -214,7 +214,7 @@ def verify(
 
 
 def check_episode(runner: EpisodeRunner, folder: Path, same_version: bool, task: SceneTask) -> list[Difference]:
-    """Simulate a scene with the actions stored in a result folder; return the values that differ from its result."""
+    """Simulate a scene with its stored actions; return values that differ from its result, or its damaged file."""
     file = get_result_path(folder, task.index)
     try:
         stored, actions = read_result(file)

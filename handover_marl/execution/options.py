@@ -125,14 +125,14 @@ def is_pybullet_installed() -> bool:
 
 
 def require_modules(feature: str, extra: str, *modules: str, advice: str = "") -> None:
-    """Check that optional modules are installed; the error names the feature and the extra, and gives advice."""
+    """Raise OptionError if optional modules are missing; it names the feature and the extra, and gives `advice`."""
     missing = [module for module in modules if not is_installed(module)]
     if missing:
         raise OptionError(f"{feature} needs {' and '.join(missing)}: pip install 'handover-marl[{extra}]'{advice}")
 
 
 def require_pybullet(feature: str, advice: str) -> None:
-    """Check that PyBullet is installed; the error names the feature that needs it, and what to do without it."""
+    """Raise OptionError if PyBullet is missing; it names the feature that needs it, and gives `advice`."""
     if not is_pybullet_installed():
         raise OptionError(
             f"{feature} needs PyBullet, which is not installed (it has wheels up to Python 3.13); {advice}"

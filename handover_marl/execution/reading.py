@@ -79,7 +79,7 @@ def read_plain_file(path: Path, largest: int = MAX_FILE_BYTES) -> bytes:
 
 
 def check_archive(source: Path | bytes, largest: int) -> None:
-    """Check that a zip archive, a file or its content, states file sizes of at most `largest` bytes in all."""
+    """Raise ValueError if a zip archive, a file or its content, states file sizes of over `largest` bytes in all."""
     if isinstance(source, Path):
         check_plain_file(source, largest + _MAX_ARCHIVE_OVERHEAD)
     with zipfile.ZipFile(io.BytesIO(source) if isinstance(source, bytes) else source) as archive:

@@ -63,7 +63,7 @@ def run_pickled_task(job_id: str, pickled_job: bytes, pickled_task: bytes) -> by
 
 
 def convert_error(error: Exception, description: str) -> HandoverError:
-    """Return an error that is being handled as one that can be pickled; `description` says what has failed."""
+    """Convert an error that is being handled to one that can be pickled; `description` says what has failed."""
     # The cause is lost when an exception is pickled, so its traceback goes into the text.
     if isinstance(error, PolicyError):
         return PolicyError(f"{error}\n{traceback.format_exc()}")

@@ -340,7 +340,7 @@ class FlatReceiverFeatures(FlatFeatures):
 
 
 def _relative_columns(axes: AnyArray, rotations: AnyArray) -> AnyArray:
-    """Return the first two columns of rotations (r, 3, 3) in frames with these axes (r, 3, 3), row by row, (r, 6)."""
+    """Return the first two columns (r, 6), row by row, of rotations (r, 3, 3) in frames with `axes` (r, 3, 3)."""
     return rotate_to_frame(axes, rotations.swapaxes(1, 2))[:, :2].swapaxes(1, 2).reshape(len(axes), 6)
 
 

@@ -170,7 +170,7 @@ class CustomScheme(ArrayScheme):
         return self._arrays.asarray(needs, "bool")
 
     def set_outputs(self, rows: AnyArray, outputs: AnyArray) -> None:
-        """Pass outputs (r, size) to the schemes of the episodes with indices `rows`; most clip to [-1, 1]."""
+        """Pass outputs (r, size) to the schemes of the episodes `rows`; most schemes clip them to [-1, 1]."""
         for row, own in zip(rows.tolist(), to_numpy(outputs), strict=True):
             _run(self._what, self._schemes[row].set_outputs, own)
 

@@ -156,8 +156,8 @@ class LowestCostGraspSelector:
     by 180 degrees about its approach axis. The cost of a grasp (m) is the sum of: the distance of the gripper from it;
     the weighted angle between their orientations; the weighted cost of a grasp that may not hold; the weighted missing
     clearance to the person's hand, plus a fixed cost if the gripper would touch the hand; and the weighted distance of
-    the nearest pose that the arm can reach. The weights are those of `GraspCosts`. Selections are kept until the
-    observation changes, since features and action schemes query the same ones.
+    the nearest pose that the arm can reach, plus a fixed cost above a tolerance. The weights are those of `GraspCosts`.
+    Selections are kept until the observation changes, since features and action schemes query the same ones.
 
     Args:
         context: Context of a policy, with the objects and their grasps.

@@ -44,7 +44,7 @@ class JointScheme(ArrayScheme):
         return xp.astype(xp.concat([clipped, fingers, fingers], axis=1), xp.float32)
 
     def _encode_fingers(self, actions: AnyArray) -> AnyArray:
-        """Return outputs (r, 1) that close or open the gripper as target positions (r, 9) do."""
+        """Return outputs (r, 1) for target positions (r, 9): 1 if they close the gripper, -1 if they open it."""
         is_closed = actions[:, ARM_DOF:].mean(axis=1) < (OPEN + CLOSED) / 2.0
         return self._arrays.xp.where(is_closed, 1.0, -1.0)[:, None]
 

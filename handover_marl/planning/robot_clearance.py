@@ -133,8 +133,8 @@ def compute_open_gripper_clearances(hands: Array, spheres: Spheres) -> Array:
 def compute_grasp_clearances(hands: Array, spheres: Spheres, sweep: float = 0.0, flange: bool = True) -> Array:
     """Return signed clearances (n,) in m of a closing gripper from a body; see `compute_open_gripper_clearances`.
 
-    The volume between the open fingers counts as part of the gripper, and so do the straight approach of length
-    `sweep` (m) along the hand link's z axis and, if `flange` is set, the flange behind the hand.
+    The volume that the fingers sweep when they close counts as part of the gripper. The hand body and, if `flange` is
+    set, the flange behind it count along a straight approach of length `sweep` (m) in the hand link's z direction.
     """
     local = _points_in_hands(hands, spheres.centers)
     back = np.array([0.0, 0.0, 0.5 * sweep])

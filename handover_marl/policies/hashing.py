@@ -45,8 +45,8 @@ def hash_policy(policy: object, state: object, weights: bytes = b"") -> str:
 def hash_object(value: object, arrays_only: bool = False) -> str:
     """Compute a hash (64 hex digits) of a value, function, PyTorch module, class or other object.
 
-    Functions and classes count with their package (`hash_package`), functions also with the variables that they use,
-    classes with numbers and texts among their attributes, and objects with their attributes.
+    Functions and classes count with their package (`hash_package`) and, unless it is installed, with variables that
+    functions use and with numbers and texts among attributes of classes. Objects count with their attributes.
 
     Args:
         value: Value to hash.

@@ -201,7 +201,7 @@ def _add_link(scene: "SceneApi", link: LinkTrajectory) -> _Show:
 
 
 def _add_finger_contacts(scene: "SceneApi", log: ReplayRecorder) -> _Show:
-    """Add the contact points of fingers and object; return the function that shows those of a frame."""
+    """Add the contact points of fingers and object; return the function that shows the points of a frame."""
     poses = compute_robot_link_poses(log, [frame.snapshot for frame in log.frames], FINGER_LINKS)
     show_points = _add_points(scene, "/contacts", _FINGER_CONTACT_COLOR, 2 * _FINGER_CONTACT_RADIUS)
 

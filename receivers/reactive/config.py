@@ -130,7 +130,7 @@ def apply_risk(config: ReactiveConfig, risk: float) -> ReactiveConfig:
     """Return a copy of `config` with another trade-off between success rate and speed.
 
     The risk is a number from 0 (a quarter of the speeds, also of objects that are approached) to 1 (four times these
-    speeds); a risk of 0.5 changes nothing.
+    speeds); a risk of 0.5 changes nothing. Another value raises `OptionError`.
     """
     if isinstance(risk, bool) or not isinstance(risk, (int, float)) or not 0.0 <= risk <= 1.0:
         raise OptionError(f"risk must be a number from 0 to 1, got {risk!r}")

@@ -160,7 +160,7 @@ class HandoverController:
         return motion.move_closed(velocity, _CLOSE_ACCELERATION)
 
     def _catch(self) -> Action:
-        """Return the action that closes the fingers around a falling object that the person has released too early."""
+        """Close the fingers around an object that was released too early and falls; back out if it is out of reach."""
         config, scene, motion = self._config.approach, self._scene, self._motion
         chosen, period = self._selector.chosen, config.close_period
         if chosen is None or not self._approach_controller.is_catchable(chosen):

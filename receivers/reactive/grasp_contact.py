@@ -46,7 +46,8 @@ class GraspableObject:
 
     Attributes:
         grasps: Grasps at which the flange behind the hand link does not touch the object.
-        pad_margins: (n,) margin of each grasp: smallest distance of its contacts from tip and edges of the pads (m).
+        pad_margins: (n,) distance (m) of each grasp's contacts from tip and edges of the finger pads, see
+            `compute_pad_margins`.
         surface: Spheres that coarsely approximate the object's surface.
         points: (k, 3) dense points on the object's surface (m).
         center: (3,) center of the object's bounding box (m).
@@ -98,7 +99,7 @@ def load_obstacle(context: PolicyContext, object_name: str) -> Spheres:
 def find_offset_grasps(
     graspable: GraspableObject, human_hand: Spheres, config: ReactiveConfig
 ) -> tuple[ValidatedGrasps, Array]:
-    """Return shifted copies of an object's grasps that are clear of the person's hand, and their margins (n,) in m.
+    """Return offset copies of an object's grasps that are clear of the person's hand, and their margins (n,) in m.
 
     The margin of a grasp is the distance of its contacts from the edges of the finger pads (`compute_pad_margins`);
     copies with a small margin are left out. The hand is given in the object's frame; `perturb_grasps` makes the copies.
@@ -121,8 +122,9 @@ def collect_surface_points(vertices: Array, faces: npt.NDArray[np.int_], count: 
 def compute_pad_margins(poses: Array, points: Array) -> Array:
     """Return the distances (n,) in m of the contacts of n grasps from the tip and edges of the finger pads.
 
-    The smaller distance of the two pads is returned, 0 if a pad touches nothing. Distances from the edges count twice,
-    since fingers are narrow. Poses (n, 7; xyzw) of the hand link and surface points (k, 3) are in the object's frame.
+    The distance of a pad is the largest among the points that it touches; the smaller of the two pads' distances is
+    returned, or 0 if no point is between the fingers. Distances from the edges count twice, since fingers are narrow.
+    Poses (n, 7; xyzw) of the hand link and surface points (k, 3) are in the object's frame.
     """
     margins = np.zeros(len(poses))
     for number, pose in enumerate(poses):

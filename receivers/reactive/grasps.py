@@ -163,8 +163,8 @@ def perturb_grasps(grasps: ValidatedGrasps, points: Array, hand: Spheres, sweep:
     """Return offset copies of stable grasps that keep clear of a person's hand and of the object.
 
     Points (k, 3) of the object's surface and the hand are in the object's frame; `sweep` is the length (m) of the
-    straight approach, on which the gripper must keep clear of the hand. The copies are not validated in simulation, but
-    likely to hold, since the object is between the fingers, which close along the line of a validated grasp.
+    straight approach, on which the gripper must keep clear of the hand. The copies have the success rates of the stable
+    grasps; they are likely to hold, since the object is between the fingers, but they are not validated in simulation.
     """
     is_stable = grasps.success_rates > 0.0
     poses, rates = grasps.poses[is_stable], grasps.success_rates[is_stable]
@@ -214,8 +214,8 @@ def get_validation_record(
 ) -> ValidationRecord:
     """Return the validation record (n, 4) of an object's known grasps and stable copies; see `ValidationRecord`.
 
-    Grasps without a stored record are validated in simulation, which takes 20 to 90 s.
-    Arguments and errors are the same as for `validate_grasps`.
+    Without a stored record, the grasps are validated in simulation, which takes 20 to 90 s, and the record is stored in
+    the user's cache folder. Arguments are the same as for `validate_grasps`.
     """
     path = get_validation_record_path(object_urdf, panda_urdf, known, config)
     shipped = load_validation_record(path.stem)
@@ -299,7 +299,7 @@ def _simulate_grasps(
 
 
 def _count_stable(validator: "GraspValidator", pose: Array, config: GraspPreparationConfig) -> int:
-    """Count the poses, of a grasp and its `lateral_offsets`, that hold a shaken object; 0 if the grasp does not."""
+    """Count the poses, of a grasp and its `lateral_offsets`, that hold a shaken object; 0 if the grasp fails."""
     if not validator.is_stable(_gripper_matrix(pose)):
         return 0
     moved = [compose(pose, np.array([*offset, 0.0, 0.0, 0.0, 1.0])) for offset in config.lateral_offsets]
@@ -307,7 +307,7 @@ def _count_stable(validator: "GraspValidator", pose: Array, config: GraspPrepara
 
 
 def _find_advance(validator: "GraspValidator", pose: Array, config: GraspPreparationConfig) -> int:
-    """Return the number, from 1, of the first of `advances` by which a grasp (7,) does not collide; 0 if all do."""
+    """Return the number, from 1, of the first of `advances` at which a grasp (7,) is free of collisions; 0 if none."""
     for number, distance in enumerate(config.advances, start=1):
         deeper = advance_grasp(pose, distance + _MIN_ADVANCE_CLEARANCE)
         if validator.is_collision_free(_gripper_matrix(deeper)):
@@ -316,7 +316,7 @@ def _find_advance(validator: "GraspValidator", pose: Array, config: GraspPrepara
 
 
 def _count_kept(validator: "GraspValidator", pose: Array, config: GraspPreparationConfig) -> int:
-    """Count the poses, of a grasp and its `release_offsets`, that keep a released object; 0 if the grasp does not."""
+    """Count the poses, of a grasp and its `release_offsets`, that keep a released object; 0 if the grasp fails."""
     offsets = np.array([(0.0, 0.0, 0.0), *config.release_offsets])
     moved = compose(pose, np.concatenate([offsets, np.tile([0.0, 0.0, 0.0, 1.0], (len(offsets), 1))], axis=1))
     kept = 0

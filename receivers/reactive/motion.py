@@ -80,7 +80,7 @@ class MotionController:
         """Return the action of the final approach with joint velocities (7,) (rad/s), clear of the person's hand.
 
         The fingers are open. The required clearances to the person's hand and to other objects are smaller than on the
-        way to the standoff, and none is required to the object.
+        way to the standoff, and none is required to the object to grasp.
         """
         config = replace(
             self._config,
@@ -108,7 +108,7 @@ class MotionController:
     def move_closed(self, velocity: Array, acceleration: float | None = None) -> Action:
         """Return the action with joint velocities (7,) (rad/s) and closing fingers, ignoring obstacles.
 
-        The maximum joint acceleration (rad/s^2), unless None, replaces the configured one.
+        `acceleration` (rad/s^2), unless None, replaces the configured maximum joint acceleration.
         """
         return self._make_action(velocity, CLOSED, acceleration)
 
@@ -127,12 +127,12 @@ class MotionController:
         surface: Spheres | None = None,
         leaving: bool = False,
     ) -> Array:
-        """Return the joint velocities (7,) (rad/s) nearest to `velocity` that keep clear of person and objects.
+        """Return joint velocities (7,) (rad/s) near `velocity` that keep as clear as possible of person and objects.
 
         Args:
             velocity: Wanted joint velocities (7,) (rad/s).
             clearance: Minimum clearance to the person's hand (m).
-            config: Other clearances; default: those of the receiver.
+            config: Other clearances; default: the configuration of the receiver.
             surface: Surface of the object to keep clear of, in its frame; default: ignore the object.
             leaving: Whether the robot withdraws from bodies that may be too close.
         """
@@ -170,7 +170,7 @@ class ApproachController:
         self._last_position, self._last_position_at = np.zeros(3), -np.inf
 
     def step(self) -> Action | GraspGoal:
-        """Return the next action, or the grasp at which the fingers have to close now."""
+        """Return the next action, or the grasp at which the fingers close now; move home if no grasp is suitable."""
         goal = self._select_goal()
         if goal is None:
             self.is_near = False
@@ -198,12 +198,12 @@ class ApproachController:
         return self._approach_straight(goal, self._compute_next_depth(axial, lateral, rotation))
 
     def is_catchable(self, goal: GraspGoal) -> bool:
-        """Return whether the object is still between the fingers near a grasp, so that they may catch it."""
+        """Return whether the gripper is within 2 cm of a grasp, so that its fingers may catch the object."""
         error = self._selector.compute_pose_in_grasp(goal, self._scene.object_pose, self._scene.gripper_pose)
         return float(np.linalg.norm(error[:3])) < _CATCH_DISTANCE
 
     def _compute_object_speed(self, position: Array) -> float:
-        """Return the object's speed (m/s): relative to the gripper if it is held in the air, else in the world.
+        """Return the object's speed (m/s): relative to the gripper if held almost still in the air, else in the world.
 
         The gripper is now at `position` (3,) in the grasp's frame (m).
         """
@@ -232,7 +232,10 @@ class ApproachController:
         return goal
 
     def _compute_next_depth(self, axial: float, lateral: float, rotation: float) -> float:
-        """Return the next axial distance (m) from a grasp, given axial and lateral distance (m) and rotation error."""
+        """Return the next axial distance (m) from a grasp, given axial and lateral distance (m) and rotation error.
+
+        It decreases while the gripper is aligned and the object is slow; else the gripper waits or goes back.
+        """
         config, motion, factor = self._config, self._scene.motion, self._scene.tolerance_factor
         before, speed = max(axial, 0.0), motion.speed
         is_aligned = lateral < factor * (config.lateral_tolerance + _LATERAL_FUNNEL * before)

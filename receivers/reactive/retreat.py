@@ -115,9 +115,10 @@ class RetreatController:
         return time - self._remaining_at > _STALL_TIMEOUT
 
     def _select_end(self, joints: Array, gripper_pose: Array) -> Array:
-        """Return the configuration (7,) with the hand link near the goal that is reached soonest on a clear path.
+        """Return a configuration (7,) (rad) with the hand link near the goal that is reached soon, if possible clear.
 
-        If no path is clear of person, arm and obstacles, the hand may be nearer; if none is clear of the arm, all may.
+        Of the paths that are clear of the arm itself, paths clear of other objects, and of these, paths clear of the
+        person's hand are preferred, then the fastest. If no path is clear of the arm, the fastest of all is returned.
         """
         ends, times = self._solve_ends(joints, gripper_pose)
         order = np.argsort(times, kind="stable")
@@ -130,7 +131,7 @@ class RetreatController:
         return np.asarray(ends[beside[0] if beside else order[0]])
 
     def _solve_ends(self, joints: Array, gripper_pose: Array) -> tuple[Array, Array]:
-        """Return configurations (n, 7) with the hand link around the goal, and travel times (n,) plus penalties (s)."""
+        """Return configurations (n, 7) near the goal, and travel times (n,) (s), raised if unreachable or rejected."""
         here = Rotation.from_quat(gripper_pose[3:])
         home = (Rotation.from_quat(self._arm.compute_hand_pose(HOME)[3:]) * here.inv()).as_rotvec()
         rotations = [(Rotation.from_rotvec(share * home) * here).as_quat() for share in _ROTATION_SHARES]
@@ -147,7 +148,7 @@ class RetreatController:
         return ends, times
 
     def _is_clear_of_person(self, joints: Array, goal: Array) -> bool:
-        """Return whether the gripper keeps clear of the person's hand between `joints` (7,) and `goal` (7,) in rad."""
+        """Return whether the gripper stays 2 cm from the person's hand up to `goal`, or farther than at `joints`."""
         if self._person is None:
             return True
         hands = self._arm.compute_hand_poses(joints + np.array([0.0, *_CHECKED_SHARES])[:, None] * (goal - joints))

@@ -220,7 +220,7 @@ class GraspSelector:
         self.chosen, self.failure_reason = None, reason
 
     def _compute_clearances(self, scene: SceneEstimate) -> Array:
-        """Return the clearances (n,) in m of the gripper to the person's hand at the candidate grasps."""
+        """Return the clearances (n,) in m of the gripper to the person's hand at the candidates; 0.2 without a hand."""
         human_hand = scene.hand_in_object
         if human_hand is None:
             return np.full(len(self.grasps), _NO_HAND_CLEARANCE)
@@ -266,7 +266,7 @@ class GraspSelector:
     def _compute_costs(self, rough: Array, world: Array, joints: Array, bodies: Spheres) -> tuple[Array, Array, Array]:
         """Return costs (k,) in s of k grasps, without path costs, and arm joints (k, 7) at standoffs and at grasps.
 
-        `rough` are the costs without inverse kinematics, and `world` (k, 7) the grasps. The arm is at `joints` (7,).
+        `rough` (k,) are costs before inverse kinematics, `world` (k, 7) world poses of grasps, `joints` (7,) the arm's.
         """
         # The previous solution is a seed, so that one from a fallback seed is not lost again.
         previous = None if self.chosen is None else self.chosen.standoff_joints
@@ -282,8 +282,8 @@ class GraspSelector:
         """Solve inverse kinematics of grasps (n, 7) of the hand link and their standoffs from several seeds.
 
         For each grasp, the solution that the arm at `joints` reaches soonest is returned: configurations (n, 7)
-        in rad at the standoffs and at the grasps, and whether they exist (n,). Searches also start at the
-        `previous` configuration, if any, and at the fallback ones, if wanted.
+        in rad at the standoffs and at the grasps, and a mask (n,) of grasps with a solution. Searches also start at
+        the `previous` configuration, unless None, and if `use_fallback` at `FALLBACK_IK_SEEDS`.
         """
         seeds = np.concatenate([IK_SEEDS, FALLBACK_IK_SEEDS]) if use_fallback else IK_SEEDS
         if previous is not None:
@@ -318,7 +318,7 @@ class GraspSelector:
     def _choose_with_hysteresis(
         self, numbers: Indices, costs: Array, standoffs: Array, joints: Array, obstacles: PathObstacles, is_near: bool
     ) -> int:
-        """Return the position in `numbers` of the selected grasp, or of the cheapest one if that is clearly cheaper.
+        """Return the position in `numbers` of the grasp selected before, or of the cheapest if it is clearly cheaper.
 
         Costs of blocked paths are added to `costs`, unless the gripper is near the grasp.
         """

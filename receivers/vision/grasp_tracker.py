@@ -85,7 +85,7 @@ class VoxelMap:
         self._times = np.zeros(0)
 
     def update(self, time: float, points: Array, forget: bool) -> None:
-        """Add points (k, 3) relative to the object's center (m) at a time (s); if `forget`, remove old ones."""
+        """Add points (k, 3) relative to the object's center (m) at a time (s); if `forget` and k > 0, remove old."""
         if forget and len(points):
             kept = self._times > time - self._memory
             self.points, self._times = self.points[kept], self._times[kept]
@@ -148,7 +148,7 @@ class Keyframe:
         """Return the translation (3,) in m from the keyframe to points (k, 3), and the share of points that match it.
 
         This is point-to-plane registration (Chen and Medioni, 1992) without rotation. The translation is zero in
-        directions that the surface does not constrain, such as along a plane.
+        directions that the surface does not constrain, such as along a plane. The share is 0 if too few points match.
         """
         translation, share = np.zeros(3), 0.0
         sampled = points[:: max(1, len(points) // _N_MATCHED)]
@@ -180,7 +180,7 @@ class GraspTracker:
         costs: (n,) costs of the candidates (s).
         surface: Spheres at the visible part of the object, relative to its center.
         human_hand: Spheres at the visible part of the person's hand in the world, or None if no part is visible.
-        selected: (7,) grasp that is tracked, relative to the object's center, or None.
+        selected: (7,) grasp that is tracked, relative to the object's center, or None for no selection.
         use_all: Whether all predicted grasps and tilted copies of them are candidates, not only the best ones.
         lost_timeout: Time without a view of the object after which the tracker is reset at the next view (s).
     """
@@ -214,7 +214,7 @@ class GraspTracker:
 
     @property
     def velocity(self) -> Array:
-        """(3,) velocity of the object and of the person's hand in the world (m/s)."""
+        """(3,) velocity of the object and of the person's hand in the world (m/s); zero below 0.04 m/s."""
         is_moving = float(np.linalg.norm(self.position.velocity)) > _REST_SPEED
         return self.position.velocity if is_moving else np.zeros(3)
 
@@ -230,7 +230,8 @@ class GraspTracker:
         """Update object, hand and grasp candidates from a view of the wrist camera at a time (s).
 
         Points (n, 3) of the object and of the person's hand are in the hand link's frame (m), given by its
-        world pose (7,) (quaternion xyzw).
+        world pose (7,) (quaternion xyzw). With fewer than 20 points of the object, its motion is extrapolated and only
+        the selected grasp, if any, remains a candidate.
         """
         if len(object_points) < _MIN_POINTS:
             self.position.coast(time)
@@ -344,7 +345,7 @@ class GraspTracker:
         self.grasps, self.costs = candidates, all_costs
 
     def _correct_selected(self, selected: Array, grasps: Array, costs: Array, gain: float) -> Array:
-        """Return the selected grasp (7,), moved by a gain (0 to 1) towards the mean of predicted grasps close to it."""
+        """Return the selected grasp (7,), moved by `gain` (0 to 1) to the mean of predicted grasps near it, if any."""
         distances = compute_grasp_distances(selected, grasps, _ROTATION_WEIGHT, PAD_DISTANCE)
         same = np.flatnonzero(distances < _SAME_DISTANCE)
         if not len(same):

@@ -1,6 +1,6 @@
 """Receiver `vision`, which perceives object and hand only by the wrist camera.
 
-A tracker follows object, hand and the grasp candidates that a network predicts; grasp selection and motion are those of
+A tracker follows object, hand and the grasp candidates that a network predicts; grasp selection and motion are as in
 `reactive`. The receiver uses neither true poses nor object models, and infers from its fingers whether the person has
 released the object.
 """
@@ -111,7 +111,7 @@ class VisionReceiver(ControllerReceiver):
 
 
 def _find_shipped_weights(network: str, setup: str, option: str) -> Path:
-    """Return the path of the shipped weights of a network; an error names the option that takes a file."""
+    """Return the path of a network's shipped weights; raise `OptionError` about `option` if none ship for the setup."""
     # Setups of other data have no weights of their own, and use those of s0.
     path = find_vision_weights(network, setup if setup in SETUPS else SETUPS[0])
     if not path.is_file():

@@ -47,7 +47,8 @@ class PointCloudHandTracker(HandTracker):
     def predict_attached_pose(self, points: Array, pose: Array, ahead: float) -> Array:
         """Return the world pose (7,), `ahead` (s) from now, of a frame that moves with the person's hand.
 
-        The frame was at the world pose (7,) when `reference_points` were `points`.
+        The frame was at the world pose (7,) `pose` when `reference_points` were `points`. If the object's position is
+        unknown, `pose` is returned.
         """
         if not len(points) or self._object_position is None:
             return pose
@@ -106,9 +107,9 @@ class PointCloudSceneEstimate(SceneEstimate):
             self._update_obstacles(others)
 
     def has_released(self, closing_since: float) -> bool:
-        """Return whether the person seems to have released the object, judged by fingers that close since a time (s).
+        """Return whether the person seems to have released the object; the fingers close since `closing_since` (s).
 
-        The fingers must have been at rest for a while, or still be partly open after a longer time.
+        The object counts as released once the fingers have been at rest for 0.15 s, or are partly open after 0.5 s.
         """
         if closing_since != self._closing_since:
             self._closing_since = self._moved_at = closing_since
@@ -120,7 +121,7 @@ class PointCloudSceneEstimate(SceneEstimate):
         return (is_late and not self.are_fingers_closed) or self.time - self._moved_at > _RELEASE_DELAY
 
     def _set_lost_timeouts(self) -> None:
-        """Set for how long the object may be out of sight: longer if at rest, since paths avoid other objects."""
+        """Set how long the object may be out of sight: longer if at rest, as detours around other objects take time."""
         is_settled = self.is_settled
         self._search_timeout = HIDDEN_TIMEOUT if is_settled else SEARCH_TIMEOUT
         self.tracker.lost_timeout = HIDDEN_TIMEOUT if is_settled else LOST_TIMEOUT

@@ -201,7 +201,7 @@ class ArrayEpisodes:
             self._camera.close()
 
     def _derive_partner_seed(self, seed: int | None, scene: Scene, rows: AnyIndices) -> int:
-        """Derive the seed of the partner from the run seed; `rows` (1,) is the episode, whose state was observed."""
+        """Derive the partner's seed from the run seed; `rows` (1,) has the index of the observed episode."""
         if self._partner_agent == GIVER:
             return derive_giver_seed(seed, scene.info.scene_id)
         observation = self._select_observation(RECEIVER, rows)

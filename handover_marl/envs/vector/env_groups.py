@@ -180,7 +180,7 @@ class ProcessEnvs:
         self._pipe.close()
 
     def _call(self, name: str, *arguments: Any) -> Any:
-        """Return what a method of the environments in the process returns for these arguments."""
+        """Call a method of the environments in the process; return its result, or raise its error or a WorkerError."""
         try:
             if not self._is_ready:
                 self._receive()

@@ -217,7 +217,7 @@ class ParallelVectorEnv:
 
 
 def _spread_seeds(seed: int | Sequence[int | None] | None, count: int) -> list[int | None]:
-    """Return a seed for each of `count` environments: `seed` + k for number k, its element of a sequence, or None."""
+    """Return the seeds of `count` environments: `seed` + k for number k, element k of a sequence, or None for None."""
     if isinstance(seed, (int, np.integer)):
         seeds: list[Any] = list(range(int(seed), int(seed) + count))
     else:

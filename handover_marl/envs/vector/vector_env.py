@@ -270,7 +270,7 @@ def _can_use_arrays(template: WrappableEnv, backend: str) -> bool:
 
 
 def _check_device(template: WrappableEnv, uses_arrays: bool) -> None:
-    """Check that environments can be simulated on a device, with the backend "warp"."""
+    """Raise OptionError unless "warp" can simulate environments; `uses_arrays` is the result of `_can_use_arrays`."""
     config = template.unwrapped.config
     faults = [
         (env.policy.obs_mode != STATE, f"a partner without a camera, got {env.policy.name!r}")

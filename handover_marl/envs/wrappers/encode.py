@@ -101,13 +101,13 @@ class EncodedEnv(ParallelWrapper):
     def action_space(self, agent: str) -> spaces.Box:
         """Return the space of the network outputs that the agent's action scheme decodes.
 
-        It is a box from -1 to 1; of the schemes `giver` and `receiver` it is the action space of the environment.
+        It is a box from -1 to 1; for the schemes `giver` and `receiver` it is the action space of the environment.
         """
         space: spaces.Box = self._output_spaces[agent]
         return space
 
     def _compute_features(self) -> ByAgent:
-        """Return the features (m,) of the last observation of each agent; observations of agents without features."""
+        """Return by agent the features (m,) of the last observation, or the observation itself without features."""
         return {
             agent: self._features[agent](ONLY_ROW, add_episode_axis(own))[0] if agent in self._features else own
             for agent, own in self._observations.items()
@@ -217,7 +217,7 @@ def make_no_outputs_error(agent: str) -> OptionError:
 
 
 def _complete_choices(argument: str, defaults: dict[str, str], choices: Any, agents: list[str]) -> dict[str, Any]:
-    """Return the features or schemes of each agent: those in `choices`, by agent or for the only one, else defaults."""
+    """Return features or schemes by agent: `choices`, a dict by agent or the only agent's choice, else `defaults`."""
     if not isinstance(choices, Mapping):
         if choices is not None and len(agents) != 1:
             raise OptionError(

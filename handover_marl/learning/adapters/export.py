@@ -27,7 +27,7 @@ def export_policy(
     """Write a trained network to a policy file (.npz), which `learned:FILE` loads without PyTorch.
 
     A file contains weights and the encoding, and no code. Before it is written, the network is compared with
-    the model on the same pseudo-random inputs.
+    the model on pseudo-random inputs.
 
     Args:
         model: Model of Stable-Baselines3 (PPO, A2C, SAC, TD3, DDPG) with dense layers; or PyTorch module of

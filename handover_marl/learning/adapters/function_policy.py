@@ -154,7 +154,7 @@ class FunctionPolicy(ArrayPolicy):
         return outputs
 
     def _check_module(self, function: "TorchFunction", n_inputs: int) -> None:
-        """Evaluate a copy of a module on `n_inputs` zeros, so that a wrong size shows before the first episode."""
+        """Evaluate a copy of a module on `n_inputs` zeros; raise OptionError if it fails or has a wrong output size."""
         try:
             outputs = copy.deepcopy(function)(np.zeros(n_inputs, dtype=np.float32))
             found = f"{outputs.size} outputs" if isinstance(outputs, np.ndarray) else ""

@@ -60,7 +60,7 @@ def get_samples_path(folder: Path, key: int) -> Path:
 
 
 def read_samples(kind: type[Samples], path: Path) -> Samples:
-    """Read the samples in a file (.npz) as a named tuple of the class `kind`."""
+    """Read the samples in a file (.npz) as a named tuple of the class `kind`; raise ResultsError if that fails."""
     names: tuple[str, ...] = kind._fields  # type: ignore[attr-defined]
     try:
         return kind(*read_arrays(path, names, _MAX_BYTES).values())
@@ -69,7 +69,7 @@ def read_samples(kind: type[Samples], path: Path) -> Samples:
 
 
 def join_samples(parts: Sequence[Samples]) -> Samples:
-    """Concatenate several samples, named tuples of arrays (n, ...), in their order."""
+    """Concatenate samples, named tuples of arrays (n, ...), in their order; raise DataNotFoundError for none."""
     if not parts:
         raise DataNotFoundError("a training needs samples, got none; pass at least two scenes")
     return type(parts[0])(*map(np.concatenate, zip(*parts, strict=True)))

@@ -134,7 +134,7 @@ def load_tensors(content: bytes) -> Any:
 
 
 def check_finite_weights(file: Path, module: nn.Module) -> None:
-    """Check that all parameters and buffers of a module, which was read from a file, are finite."""
+    """Raise DataFormatError unless all parameters and buffers of a module, read from `file`, are finite."""
     if not all(bool(torch.isfinite(value).all()) for value in module.state_dict().values()):
         raise DataFormatError(f"{file}: weights must be finite numbers; the file is damaged")
 

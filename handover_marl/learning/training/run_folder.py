@@ -113,7 +113,7 @@ def read_checkpoint(path: Path, restore: Callable[[dict[str, Any]], None]) -> No
 def validate(
     args: SetupArgs, count: int, giver: PolicyLike, receiver: PolicyLike, label: str, **options: Any
 ) -> Report:
-    """Evaluate a pair on scenes of the validation split, evenly chosen; print a line with its outcomes.
+    """Evaluate a pair on evenly chosen validation scenes; print a line with its outcomes, and return the report.
 
     Args:
         args: Dataset and setup.

@@ -20,11 +20,12 @@ def configure_engine() -> None:
         mujoco.set_mju_user_warning(lambda message: None)
 
 
-def check_warnings(batch: Batch) -> None:
-    """Raise `SimulationError` if MuJoCo warned in the first world of a batch."""
-    details, counts = batch.warning[0].T
-    if not counts.any():
+def check_warnings(batch: Batch, count: int = 1) -> None:
+    """Raise `SimulationError` if MuJoCo warned in one of the first `count` worlds of a batch."""
+    warned = np.flatnonzero(batch.warning[:count, :, 1].any(axis=1))
+    if not len(warned):
         return
+    details, counts = batch.warning[warned[0]].T
     found = [mujoco.mju_warningText(kind, details[kind]) for kind in np.flatnonzero(counts)]
     advice = "run this scene with physics='fast'" if is_pybullet_installed() else "leave this scene out"
     raise SimulationError(f"MuJoCo's simulation failed: {' '.join(found)} To go on, {advice}, and report this.")

@@ -106,7 +106,7 @@ class RobotOnlySimulation:
         controls = np.repeat(states[:, -1:], steps, axis=1)
         records, kind = (*_STATE, "site_xpos"), int(mujoco.mjtState.mjSTATE_CTRL)
         rollout = batch.rollout(steps, controls, kind, records, ids=np.arange(count))
-        check_warnings(batch)
+        check_warnings(batch, count)
         motions = [
             np.concatenate([states[:, number, None], rollout[name]], axis=1) for number, name in enumerate(_STATE)
         ]

@@ -2,6 +2,8 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -17,6 +19,7 @@ from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.model_files.urdf import read_urdf_links
 from handover_marl.geometry.panda import FINGER_LINKS, WAITING_JOINTS
 from handover_marl.simulation.bullet.worlds import FastWorld
+from handover_marl.simulation.mujoco.engine import check_warnings
 from handover_marl.simulation.mujoco.models.scene_model import SceneModel, load_scene_model
 from handover_marl.simulation.mujoco.world import MujocoWorld
 from handover_marl.simulation.reference_tracking import ReferenceMotion
@@ -244,3 +247,11 @@ def test_hand_and_other_objects_are_sensed(scene: SceneModel) -> None:
     contacts = read_contacts(scene, data)
     assert contacts.robot_touches_others
     assert contacts.robot_object_force == 0.0
+
+
+def test_a_warning_in_any_world_of_a_batch_raises_an_error() -> None:
+    batch: Any = SimpleNamespace(warning=np.zeros((3, len(mujoco.mjtWarning.__members__), 2), dtype=np.int32))
+    batch.warning[2, int(mujoco.mjtWarning.mjWARN_BADQACC), 1] = 1
+    check_warnings(batch, 2)
+    with pytest.raises(SimulationError, match="failed"):
+        check_warnings(batch, 3)

@@ -87,7 +87,7 @@ class DataGenerator:
         self._load_assets = functools.cache(self._read_assets)
 
     def plan(self, number: int) -> ExpertPlan:
-        """Return the expert's plan in the scenario with a number; it has no goals if `GraspExpert.plan` finds none."""
+        """Return the expert's plan in scenario `number`; it has no goals if planning fails, see `GraspExpert.plan`."""
         return self._expert.plan(self._scenarios.sample(number))
 
     def collect_states(
@@ -134,7 +134,7 @@ class DataGenerator:
         return stack_samples(ImitationStates, states, columns)
 
     def _render_points(self, camera: RayCamera, scenario: ImitationScenario, joints: Array, hand: Array) -> Any:
-        """Return the visible points (n, 3) of the object in the frame of the hand link, which has the pose `hand`."""
+        """Return visible points (n, 3) of the object in the hand link's frame (m); its world pose (7,) is `hand`."""
         robot = np.array([*joints, OPEN, OPEN], dtype=np.float32)
         image = camera.render_targets(JointSnapshot(robot, None, scenario.dof[None]))
         points = deproject(image.depth, image.compute_mask(SegmentationLabel.TARGET))

@@ -315,7 +315,7 @@ class GraspExpert:
         return world[order], costs[order] - compute_grasp_distances(hand, world[order], _ROTATION_COST, PAD_DISTANCE)
 
     def _are_reachable(self, goals: Array, joints: Array) -> npt.NDArray[np.bool_]:
-        """Return (n,) whether the arm, now at joints (7,), reaches goals (n, 7) and standoffs in similar postures."""
+        """Return (n,) whether the arm, now at joints (7,), reaches goals (n, 7) and standoff poses in like postures."""
         standoffs = compose(goals, np.array([0.0, 0.0, -_STANDOFF, 0.0, 0.0, 0.0, 1.0]))
         before, standoff_found = self.arm.solve(standoffs, np.tile(joints, (len(goals), 1)), 30)
         after, goal_found = self.arm.solve(goals, before, 15)
@@ -323,7 +323,7 @@ class GraspExpert:
         return standoff_found & goal_found & similar
 
     def _simulate_approach(self, joints: Array, goal: Array) -> list[Array]:
-        """Simulate an approach from joints (7,) to a world pose (7,); return the joints before and after decisions."""
+        """Simulate an approach from joints (7,) to a world pose (7,); return the joints before and after each step."""
         path = [joints]
         for remaining in range(_MAX_DECISIONS, 0, -1):
             if self._compute_miss(path[-1], goal) < _TOLERANCE:

@@ -173,7 +173,7 @@ class ViewRenderer(RecordedViewRenderer):
         self._reactive = reactive or ReactiveConfig()
 
     def render_scene(self, number: int) -> GraspViews:
-        """Return random views of the scene with a number; views with few object points are discarded."""
+        """Return random views of the scene with the number `number`; views with few object points are discarded."""
         # Seeded by the scene, so that files do not depend on the number of processes.
         rng, scene = np.random.default_rng((self._seed, number)), self._data.load_scene(number)
         frames = _sample_frames(scene, self._count, rng).tolist()
