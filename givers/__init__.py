@@ -26,7 +26,7 @@ def make(policy: PolicyLike, dataset: Dataset | None = None, trust: bool = False
     Args:
         policy: Registered name, with options or a file, or a class; see `handover_marl.policies.reference`.
         dataset: Dataset with the robot and objects; default: the one that `open_dataset()` returns.
-        trust: Whether code in a policy file may be executed.
+        trust: Whether modules that only a policy file names may be imported.
         setup: Setup whose weights a learned policy uses; default: the first of the dataset.
 
     Raises:

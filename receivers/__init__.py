@@ -23,8 +23,8 @@ def list_available() -> tuple[str, ...]:
 def make(policy: PolicyLike, dataset: Dataset | None = None, trust: bool = False, setup: str | None = None) -> Policy:
     """Create a receiver, named as text such as "vision:wait=1" or given as a class, for a dataset's robot and objects.
 
-    The default dataset is `open_dataset()`. `trust` allows code in a policy file, and `setup` selects the
-    shipped weights.
+    The default dataset is `open_dataset()`. `trust` allows to import modules that only a policy file names;
+    `setup` selects the shipped weights.
 
     Raises:
         UnknownNameError, OptionError: There is no such receiver or option, or an option has a wrong value.

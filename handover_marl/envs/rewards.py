@@ -159,7 +159,7 @@ def _replace_nan(values: AnyArray) -> AnyArray:
     return xp.where(xp.isnan(values), 0.0, values)
 
 
-#: Functions from the last control steps to values (r,) of reward terms, by name; units stand in the module's table.
+#: Functions from the last control steps to values (r,) of reward terms, by name; units: docs/reference/rewards.md.
 TERMS: dict[str, Callable[[Steps], AnyArray]] = {
     "success": functools.partial(compute_outcome, EpisodeStatus.SUCCESS),
     "contact": functools.partial(compute_outcome, EpisodeStatus.HUMAN_CONTACT),

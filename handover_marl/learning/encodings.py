@@ -87,9 +87,10 @@ def count_outputs(agent: str, name: str) -> int:
 
 def check_encodings(agent: str, features: FeaturesLike, scheme: SchemeLike) -> None:
     """Raise UnknownNameError if names of built-in features, or of a scheme, do not exist for the agent."""
-    for choice, count in ((features, count_features), (scheme, count_outputs)):
-        if isinstance(choice, str) and not is_reference(choice) and choice != OBSERVATION:
-            count(agent, choice)
+    if isinstance(features, str) and not is_reference(features) and features != OBSERVATION:
+        count_features(agent, features)
+    if isinstance(scheme, str) and not is_reference(scheme):
+        count_outputs(agent, scheme)
 
 
 def make_array_features(

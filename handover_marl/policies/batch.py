@@ -136,7 +136,7 @@ class ArrayPolicy(Policy):
         self.start(0, seed)
 
     def act(self, observation: Observation) -> Action:
-        """Return the action, (8,) of a giver or (9,) of a receiver, in a single episode; `decide` is for several."""
+        """Return the action, (8,) of a giver or (9,) of a receiver, in a single episode, which `reset` has started."""
         require_reset(self._has_episode or None, self.name)
         if self.agent in observation:
             raise OptionError(
