@@ -169,7 +169,10 @@ class OmgReceiver(PhasedReceiver):
         return replace(hand, starts=starts, ends=ends)
 
     def _plan_retreat(self, observation: Observation) -> list[Array]:
-        """Return arm joints (7,) on the straight line to the goal, with free rotation; if IK fails, repeat the last."""
+        """Return arm joints (7,) (rad) at waypoints on the straight line to the goal.
+
+        The hand link may rotate freely. A waypoint without an IK solution repeats the joints before it.
+        """
         hand = observation["gripper_pose"][:3].astype(np.float64)
         goal = np.array(self.context.protocol.goal_center)
         count = max(1, math.ceil(float(np.linalg.norm(goal - hand)) / RETREAT_STEP))

@@ -167,7 +167,7 @@ class DataLocation:
 def check_scene_fingerprint(scene_id: int, found: str, expected: str) -> None:
     """Check that a scene is the same on this machine as on the machine that started the evaluation.
 
-    `found` is the scene's fingerprint here, `expected` the one there ("" accepts any); else `DataFormatError`.
+    Raise `DataFormatError` if the fingerprints `found` here and `expected` there differ; "" as `expected` accepts any.
     """
     if expected not in ("", found):
         raise DataFormatError(

@@ -70,7 +70,7 @@ def get_prescribed_side(scene: int) -> Literal["left", "right"] | None:
 
 
 def choose_scenes(split_ids: tuple[int, ...], scenes: Iterable[int] | None, where: str) -> tuple[int, ...]:
-    """Return `scenes` in ascending order without repetitions, or all numbers `split_ids` of a split if it is None.
+    """Return `scenes` sorted and without repetitions, or all numbers `split_ids` of a split if `scenes` is None.
 
     Raise `SceneError`, which names the split by `where`, if a scene is not in the split or there is no scene.
     """

@@ -131,7 +131,7 @@ class RetreatController:
         return np.asarray(ends[beside[0] if beside else order[0]])
 
     def _solve_ends(self, joints: Array, gripper_pose: Array) -> tuple[Array, Array]:
-        """Return configurations (n, 7) near the goal, and travel times (n,) (s), raised if unreachable or rejected."""
+        """Return configurations (n, 7) near the goal, and travel times (n,) in s, longer if unreachable or rejected."""
         here = Rotation.from_quat(gripper_pose[3:])
         home = (Rotation.from_quat(self._arm.compute_hand_pose(HOME)[3:]) * here.inv()).as_rotvec()
         rotations = [(Rotation.from_rotvec(share * home) * here).as_quat() for share in _ROTATION_SHARES]
@@ -148,7 +148,10 @@ class RetreatController:
         return ends, times
 
     def _is_clear_of_person(self, joints: Array, goal: Array) -> bool:
-        """Return whether the gripper stays 2 cm from the person's hand up to `goal`, or farther than at `joints`."""
+        """Return whether the gripper keeps clear of the person's hand between `joints` (7,) and `goal` (7,) in rad.
+
+        Clear means farther than `DESIRED_CLEARANCE`, or than at `joints` if the gripper is nearer there.
+        """
         if self._person is None:
             return True
         hands = self._arm.compute_hand_poses(joints + np.array([0.0, *_CHECKED_SHARES])[:, None] * (goal - joints))

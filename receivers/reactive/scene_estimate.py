@@ -132,7 +132,7 @@ class SceneEstimate(ABC):
 
     @property
     def is_offered(self) -> bool:
-        """Whether the person has lifted the object or left it beside a still hand; without a hand, if 3 s are over."""
+        """Whether the person has lifted the object or left it by a still hand; without a hand, whether 3 s passed."""
         config, person = self.config, self.person
         if person.spheres is None:
             return self.time > _NO_HAND_START

@@ -85,7 +85,7 @@ class VoxelMap:
         self._times = np.zeros(0)
 
     def update(self, time: float, points: Array, forget: bool) -> None:
-        """Add points (k, 3) relative to the object's center (m) at a time (s); if `forget` and k > 0, remove old."""
+        """Add points (k, 3) in m relative to the object's center at a time (s); `forget` drops old ones if k > 0."""
         if forget and len(points):
             kept = self._times > time - self._memory
             self.points, self._times = self.points[kept], self._times[kept]

@@ -107,7 +107,7 @@ class PointCloudSceneEstimate(SceneEstimate):
             self._update_obstacles(others)
 
     def has_released(self, closing_since: float) -> bool:
-        """Return whether the person seems to have released the object; the fingers close since `closing_since` (s).
+        """Return whether the person seems to have released the object; the fingers started closing at a time (s).
 
         The object counts as released once the fingers have been at rest for 0.15 s, or are partly open after 0.5 s.
         """

@@ -334,7 +334,7 @@ def _read_poses(key: str, poses: Array, time: Array, first: int, config: MotionC
 
 
 def _fill_gaps(key: str, poses: Array, time: Array, first: int, config: MotionConfig, repairs: list[str]) -> Array:
-    """Interpolate missing poses of body `key`, (n, 7), and note it in `repairs`; `ValueError` if a gap is too long."""
+    """Fill gaps in poses (n, 7) of body `key`, noted in `repairs`; a long gap or one at an end raises `ValueError`."""
     is_valid = np.asarray(np.isfinite(poses).all(axis=1))
     valid, missing = np.flatnonzero(is_valid), np.flatnonzero(~is_valid)
     if not len(missing):

@@ -62,7 +62,7 @@ class CustomDataset(Dataset):
         self._read_grasps = lru_cache(maxsize=None)(self._load_grasps)
 
     def list_scenes(self, setup: str | None, split: str) -> tuple[int, ...]:
-        """Return a split's scene numbers; an empty split is an `UnknownNameError`, no scenes a `DataNotFoundError`."""
+        """Return a split's scene numbers; an empty split raises `UnknownNameError`, no scenes `DataNotFoundError`."""
         check_name("split", split, SPLITS)
         setup = self.resolve_setup(setup)
         if not self.n_scenes:

@@ -35,7 +35,7 @@ _FRAME_ADVICE = "check frame: 'world' has its origin 0.92 m below the table's su
 
 
 def check_objects(objects: Float32, bodies: Mapping[str, Array]) -> None:
-    """Raise `DataFormatError` if the objects' motion has a wrong duration, jumps, is far away, or ends below the table.
+    """Raise `DataFormatError` if the objects' motion has a wrong duration, jumps, is far away, or is below the table.
 
     `objects` (T, n, 6) has positions (m) and intrinsic XYZ Euler angles (rad) in the world at 1 kHz. `bodies` has the
     vertices (v, 3) of the n objects in their own frames (m) by name, the handed-over object first.

@@ -186,8 +186,8 @@ def open_folder(source: Path) -> Iterator[Path]:
 def install_third_party(source: Path, assets: Path) -> list[str]:
     """Install third-party files in `assets` from HandoverSim's archive, or from the folder that it was unpacked into.
 
-    The files may be at any depth, but their tree must be there just once, else `DataFormatError` is raised and nothing
-    is written. Returns at most one warning, about files whose checksum is not the official one.
+    The folder tree of the files may be at any depth of `source`, but must occur exactly once; else `DataFormatError` is
+    raised and nothing is written. Returns at most one warning, about files whose checksum is not the official one.
     """
     unknown = []
     with open_folder(source) as folder:

@@ -86,7 +86,7 @@ class ManoModel:
 
 
 def read_mano_model(path: Path, side: str) -> ManoModel:
-    """Read the MANO_*.pkl of a `side` in mano_v1_2.zip; raise `DataNotFoundError` or `DataFormatError` for a fault."""
+    """Read the hand model of a `side`, MANO_*.pkl; raise `DataNotFoundError` or `DataFormatError` if that fails."""
     with report_damage(path, "MANO model", "copy it from mano_v1_2.zip, which MANO's site has for registered users"):
         content = load_restricted(read_plain_file(path), _ALLOWED)
         return ManoModel(side, *(_extract_array(key, content[key]) for key in _SHAPES))

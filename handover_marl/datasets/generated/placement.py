@@ -172,7 +172,7 @@ def draw_placement(random: RandomStream, giver: SimulatedGiver, draw_positions: 
 def _sample_resting_grasps(random: RandomStream, giver: SimulatedGiver, distance: float) -> list[tuple[Array, int]]:
     """Draw resting rotations (3, 3) of the object, each with the index of a grasp of about a wrist `distance` (m).
 
-    If the hand would touch the table in every grasp, return the grasp with the highest hand alone.
+    If the hand would touch the table in every grasp, return only the grasp with the highest hand.
     """
     axes = random.weighted_order(giver.up_axes)
     first_yaw = random.uniform(0.0, 2.0 * np.pi)

@@ -213,7 +213,7 @@ class Solid:
         """Return lengths (k,) in m at which k rays leave the solid, and cosines (k,) between ray and normal there.
 
         The rays have starts and unit directions (k, 3). A ray through a cup leaves it twice, at its wall and at its far
-        side; numbers (k,) from 0 to 1 choose one of the places. A length is infinite if none is within `max_width` (m).
+        side; numbers (k,) from 0 to 1 choose one of these. A length is infinite if no place is within `max_width`.
         """
         slopes, row = self._normals @ directions.T, np.arange(len(points))
         with np.errstate(divide="ignore", invalid="ignore"):
