@@ -4,9 +4,9 @@
 
 An offer is the handover pose and the withdrawal of `HandoverPoseScheme`; the rest of the person's motion is scripted. A
 network predicts success and time of an offer from the features of `handover_marl.learning.offers`. Offers of the first
-round are random. In later rounds, each is the best of 1, 4, 16 or 64 random offers by the network, which is trained
-anew after each round. The folder gets `policy.npz` (`--givers adaptive:weights=runs/offers/policy.npz`) and
-`offers.npz`, the offers of all rounds; `--resume` continues a run.
+round are random. In later rounds, each offer is the best of 1, 4, 16 or 64 random ones by the network's prediction. The
+network is trained anew after each round. The folder gets `offers.npz`, the offers of all rounds, and `policy.npz`
+(`--givers adaptive:weights=runs/offers/policy.npz`); `--resume` continues a run.
 """
 
 import time

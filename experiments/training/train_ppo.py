@@ -282,7 +282,7 @@ def train(
         agents: Agents that learn.
         workers: Number of processes that simulate the environments.
         sees_both: Whether the value function of an agent observes the features of both.
-        gripper_std: Initial standard deviation of the last output; default: that of the others.
+        gripper_std: Initial standard deviation of the last output; default: as for the other outputs.
         initial: Network with which the policy starts; None: a new one.
         device: Device of environments and networks.
         minutes: Largest wall-clock time (min).

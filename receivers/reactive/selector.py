@@ -83,7 +83,7 @@ class GraspGoal:
         number: Index of the grasp among the candidates.
         standoff_joints: (7,) configuration of the arm at the standoff (rad).
         grasp_joints: (7,) configuration of the arm at the grasp (rad).
-        via_joints: (7,) via point around an obstacle on the straight joint path to the standoff (rad), or None.
+        via_joints: (7,) via point (rad) around an obstacle on the straight joint path to the standoff, None if none.
     """
 
     number: int

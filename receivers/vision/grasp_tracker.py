@@ -179,7 +179,7 @@ class GraspTracker:
             first is the selected one, if any.
         costs: (n,) costs of the candidates (s).
         surface: Spheres at the visible part of the object, relative to its center.
-        human_hand: Spheres at the visible part of the person's hand in the world, or None if no part is visible.
+        human_hand: Spheres at remembered points of the person's hand in the world, or None before any was visible.
         selected: (7,) grasp that is tracked, relative to the object's center, or None for no selection.
         use_all: Whether all predicted grasps and tilted copies of them are candidates, not only the best ones.
         lost_timeout: Time without a view of the object after which the tracker is reset at the next view (s).

@@ -45,7 +45,7 @@ from handover_marl.datasets.custom.scene_file import (
 )
 from handover_marl.datasets.generated.shapes import read_solid
 from handover_marl.datasets.splits import SPLITS
-from handover_marl.errors import DataFormatError, OptionError, ResultsError, check_name
+from handover_marl.errors import DataFormatError, HandoverError, OptionError, ResultsError, check_name
 from handover_marl.execution.files import exclusive_lock, write_arrays
 from handover_marl.execution.options import check_path
 from handover_marl.geometry.model_files.meshes import check_model, read_collision_mesh
@@ -232,7 +232,7 @@ class CustomSceneFolder:
 
         Args:
             name: Name of the setup; an existing one is replaced.
-            by: "object" or "person", which are then in one split only, or "random".
+            by: "object" or "person": each object or person is then in one split only; or "random": by scene.
             val: Names of the val split's objects or persons, or a share (0 to 1) of all, which is drawn at random.
             test: Names or share for the test split, as in `val`.
             seed: Random seed of drawn shares.
@@ -280,6 +280,8 @@ class CustomSceneFolder:
             (self.folder / subfolder).mkdir(parents=True, exist_ok=True)
             with exclusive_lock(self.folder):
                 yield self.content
+        except HandoverError:
+            raise
         except OSError as error:
             raise ResultsError(f"cannot write to {self.folder} ({error.strerror or error})") from error
 

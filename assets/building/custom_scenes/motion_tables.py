@@ -105,7 +105,7 @@ class MotionTable:
         bodies: Poses (T, 7) of `object` and of the other objects by class name: position (m), quaternion xyzw.
         wrist: Poses (n, 7) of the wrist, in the same form, in the rows of `wrist_rows`; None if there is no wrist.
         wrist_rows: First row with the wrist, and the row after the last.
-        fingers: (n, 45) finger joint angles (rad, intrinsic XYZ Euler angles) in these rows, or None.
+        fingers: (n, 45) finger joint angles (rad, intrinsic XYZ Euler angles) in these rows; None if not recorded.
         repairs: Changes that were made to the recording.
     """
 

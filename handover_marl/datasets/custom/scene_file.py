@@ -93,7 +93,7 @@ class CustomScene:
     repairs: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        subject, recording = self.name.split("/")
+        subject, _, recording = self.name.partition("/")
         check_file_name("subject", subject)
         check_file_name("recording", recording)
         check_name("side", self.side, SIDES)

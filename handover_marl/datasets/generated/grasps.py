@@ -1,4 +1,4 @@
-"""Grasps of objects: by human hands, whose fingers close around the object, and antipodal ones of the Panda's gripper.
+"""Grasps of objects: by human hands, whose fingers close around the object, and antipodal ones by the Panda's gripper.
 
 Human grasps of a left hand are computed for a right hand and the mirrored object, and then mirrored. Robot grasps that
 collide are excluded by signed distances. A gripper pose has the convention of HandoverSim's grasp files: the fingers

@@ -284,7 +284,7 @@ def _sample_hand_rotation(random: RandomStream, side: str) -> Array:
 
 @cache
 def _make_gripper_points() -> Array:
-    """Return points (n, 3) in m of the gripper at a grasp and on the approach to it, in the hand link's frame there."""
+    """Return points (n, 3) in m of the gripper at a grasp and on its approach, in the grasp's hand link frame."""
     fingers = [(0.0, side * 0.045, z) for side in (-1, 1) for z in (0.065, 0.085, 0.105)]
     palm = [(0.0, side * y, z) for side in (-1, 1) for y in (0.03, 0.06, 0.09) for z in (0.02, 0.05)]
     points = np.array([*fingers, *palm, (0.0, 0.0, 0.06)])

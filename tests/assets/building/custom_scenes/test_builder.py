@@ -142,6 +142,7 @@ FAULTS: dict[str, tuple[Any, dict[str, Any], str]] = {
     ),
     "no wrist": ({key: make_recording()[key] for key in ("time", "object")}, {}, "no wrist.*pass hand=None"),
     "the object twice": (make_recording(), {"others": ["box"]}, "different classes"),
+    "recording with a slash": (make_recording(), {"recording": "a/b", "hand": None}, "recording must be"),
     "known recording": (make_recording(), {"recording": "first", "hand": None}, "recording must be new"),
 }
 
