@@ -93,7 +93,7 @@ def test_official_evaluations_have_no_inference_time(folders: dict[float | None,
     for call, message in (
         (lambda: handover_marl.benchmark(EvaluationConfig(inference_time=0.0)), "person waits for inference"),
         (lambda: handover_marl.strangers("hold", inference_time=0.0), "inference_time must be left out for strangers"),
-        (lambda: EvaluationConfig(inference_time=-0.1), "inference_time must be a time of at least 0"),
+        (lambda: EvaluationConfig(inference_time=-0.1), "inference_time must be a time from 0 to 10 s"),
         (lambda: EvaluationConfig(inference_time="fast"), "'measured' or None, got fast"),  # type: ignore[arg-type]
     ):
         with pytest.raises(OptionError, match=message):
