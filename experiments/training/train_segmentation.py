@@ -58,7 +58,7 @@ class Args(SetupArgs):
     seed: int = 0
     views: int = 8
     stride: int = 1
-    updates: int = 9_000
+    updates: int = 12_000
     batch_size: int = 16
     workers: int | None = None
     device: str = "cpu"

@@ -9,48 +9,20 @@ import torch.nn.functional as func
 from torch import Tensor, nn
 
 from handover_marl.learning.networks.weights import SavedNetwork
-from handover_marl.simulation.camera.optics import WRIST_CAMERA
 
 #: Number of classes: the rest (robot, table, ground), the object to be given, the other objects, the person's hand.
 N_CLASSES = 4
 _BLOCK = 4  # side of a block (pixels)
 _WIDTHS = (24, 40, 64, 96)  # channels at resolutions of 1/4, 1/8, 1/16 and 1/32
-_N_INPUTS = 9
+_N_INPUTS = 5
 # Height of the middle of heights in the world, and factor of heights and depths (m, 1/m).
 _MIDDLE_HEIGHT, _SCALE = 1.1, 2.0
-# Sides of the squares (blocks) around a pixel whose mean depth is subtracted from its depth, and factors of the
-# differences (1/m): 1 cm distinguishes a finger from the object behind it.
-_RELIEFS = ((3, 60.0), (9, 20.0))
 
 
 def _convolve(n_inputs: int, n_outputs: int) -> nn.Sequential:
     return nn.Sequential(
         nn.Conv2d(n_inputs, n_outputs, 3, padding=1, bias=False), nn.BatchNorm2d(n_outputs), nn.ReLU(inplace=True)
     )
-
-
-def _average(values: Tensor, size: int) -> Tensor:
-    """Return the means (B, 1, h, w) of values in squares with sides of `size` values around each value."""
-    return func.avg_pool2d(values, size, stride=1, padding=size // 2, count_include_pad=False)
-
-
-def _compute_shape(depth: Tensor) -> Tensor:
-    """Return the slopes of surfaces towards image right and down, and how far they are behind their surroundings.
-
-    Args:
-        depth: (B, 1, h, w) depth along the viewing axis (m).
-
-    Returns:
-        (B, 4, h, w) values from -2 to 2.
-    """
-    padded = func.pad(_average(depth, 3), (1, 1, 1, 1), mode="replicate")
-    right = padded[..., 1:-1, 2:] - padded[..., 1:-1, :-2]
-    down = padded[..., 2:, 1:-1] - padded[..., :-2, 1:-1]
-    slopes = torch.cat([right, down], dim=1) * (0.5 * WRIST_CAMERA.focal[0]) / depth.clamp(min=0.05)
-    blocks = func.avg_pool2d(depth, _BLOCK)
-    means = [func.interpolate(_average(blocks, size), scale_factor=float(_BLOCK)) for size, _ in _RELIEFS]
-    reliefs = [factor * (depth - mean) for mean, (_, factor) in zip(means, _RELIEFS, strict=True)]
-    return torch.cat([slopes, *reliefs], dim=1).clamp(-2.0, 2.0)
 
 
 class SegmentationNetwork(SavedNetwork):
@@ -76,8 +48,7 @@ class SegmentationNetwork(SavedNetwork):
         """
         colors = rgb.permute(0, 3, 1, 2).float() / 127.5 - 1.0
         space = torch.stack([depth.float() - 0.5, height.float() - _MIDDLE_HEIGHT], dim=1)
-        shape = _compute_shape(depth.float()[:, None])
-        x = func.pixel_unshuffle(torch.cat([colors, (_SCALE * space).clamp(-2.0, 2.0), shape], dim=1), _BLOCK)
+        x = func.pixel_unshuffle(torch.cat([colors, (_SCALE * space).clamp(-2.0, 2.0)], dim=1), _BLOCK)
         skipped: list[Tensor] = []
         for number, block in enumerate(self.down):
             x = block(func.max_pool2d(x, 2) if number else x)

@@ -41,9 +41,8 @@ _LAST_FRAME_SHARE = 0.4
 _JOINT_STD, _DIRECTION_STD, _ROLL_STD, _DISTANCES, _END_SHARE = 0.15, 0.35, 1.0, (0.08, 0.6), 0.3
 # Label of pixels without a depth, which have no class.
 _IGNORED = 255
-# Weights of the classes in the loss, since few pixels show the object. A larger weight of the hand makes the network
-# take too much of the object for the hand, and the receiver avoids grasps there.
-_CLASS_WEIGHTS = (1.0, 2.0, 2.0, 1.0)
+# Weights of the classes in the loss, since few pixels show object and hand.
+_CLASS_WEIGHTS = (1.0, 2.0, 2.0, 3.0)
 # Side of the sections of images in a batch (pixels), and share of those that are anywhere in the image.
 _SECTION, _ANYWHERE_SHARE = 128, 0.25
 _N_EVALUATED = 32
