@@ -19,7 +19,7 @@ EXTRAS ?= assets,dev,docs,import,minari,planning,plot,ray,render,replay,torchrl,
 SETUP ?= s3
 DATA ?= $(HANDOVER_MARL_DATA)
 DATASET := $(if $(DATA),dexycb,synthetic)
-# Exact physics reproduces published results, which exist for DexYCB only. Evaluations with it take nine times as long.
+# Exact physics reproduces published results, which exist for DexYCB only. Evaluations with it take eight times as long.
 # PyBullet, which has both, has no wheels for Python 3.14.
 FASTEST = $(shell $(PYTHON) -c "import sys; print('fast' if sys.version_info < (3, 14) else 'mujoco')")
 PHYSICS ?= $(if $(DATA),exact,$(FASTEST))
