@@ -12,7 +12,7 @@ from handover_marl.config import PANDA_DOF
 from handover_marl.episode.loop import call_policy, start_policy, steps_from_hold_time
 from handover_marl.episode.observations import Observation, add_episode_axis
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE
-from handover_marl.errors import OptionError
+from handover_marl.errors import OptionError, ResetNeededError
 from handover_marl.geometry.arrays import (
     NUMPY_ARRAYS,
     ONLY_ROW,
@@ -22,7 +22,7 @@ from handover_marl.geometry.arrays import (
     ArrayFactory,
     to_numpy,
 )
-from handover_marl.policies.policy import Action, Policy, require_reset
+from handover_marl.policies.policy import Action, Policy
 
 #: Actions (r, ...), float32.
 Actions: TypeAlias = AnyArray
@@ -137,7 +137,8 @@ class ArrayPolicy(Policy):
 
     def act(self, observation: Observation) -> Action:
         """Return the action, (8,) of a giver or (9,) of a receiver, in a single episode, which `reset` has started."""
-        require_reset(self._has_episode or None, self.name)
+        if not self._has_episode:
+            raise ResetNeededError(f"{self.agent} {self.name!r} cannot act before reset(); call reset() first")
         if self.agent in observation:
             raise OptionError(
                 f"act needs the observation of the {self.agent}, got those of both agents; pass "
