@@ -16,6 +16,7 @@ one device, for example `--backend warp --device cuda --num-envs 1024`. The poli
 
 import itertools
 import math
+import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -33,6 +34,7 @@ from handover_marl.envs.agents import AGENTS
 from handover_marl.envs.custom_rewards import set_discount
 from handover_marl.geometry.arrays import make_tensor_factory
 from handover_marl.learning.adapters.modules import dense_network_from_layers
+from handover_marl.learning.custom_encodings import is_reference
 from handover_marl.learning.policy_files import check_policy_path, read_policy, write_policy
 from handover_marl.learning.policy_spec import DenseNetwork, PolicySpec
 from handover_marl.learning.training.run_folder import describe_origin, make_mlp, spawn_seeds, validate
@@ -323,6 +325,8 @@ def train(
 
 
 def main(args: Args) -> Path:
+    # `module:name` may be in the working folder, which Python does not search when it runs a script.
+    sys.path.append(str(Path.cwd()))
     agent, args = args.agent, args.resolve_setup()
     args = replace(
         args,
@@ -365,7 +369,9 @@ def main(args: Args) -> Path:
     if args.val_scenes:
         giver, receiver = (args.partner if agent != name else f"learned:{args.out}" for name in AGENTS)
         label = f"{args.setup} val with the partner {args.partner}"
-        validate(args, args.val_scenes, giver, receiver, label, physics=args.val_physics)
+        # The caller has named own features and schemes, so they may be imported.
+        trust = is_reference(args.features) or is_reference(args.action_scheme)
+        validate(args, args.val_scenes, giver, receiver, label, physics=args.val_physics, trust=trust)
     return args.out
 
 

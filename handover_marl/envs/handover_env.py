@@ -329,8 +329,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
             warnings.warn(f"unknown options of reset(): {', '.join(map(str, chosen))}; valid: scene_id", stacklevel=3)
         if scene_id is None:
             return int(rng.choice(self.scene_ids))
-        if not isinstance(scene_id, (int, np.integer)):
-            raise SceneError(f"scene_id must be an integer, got {scene_id!r}; pass the number of a scene")
+        self.dataset.check_scene_id(scene_id)
         if scene_id not in self.scene_ids:
             raise SceneError(
                 f"scene_id must be in env.scene_ids, the {len(self.scene_ids)} scenes of {self.config.setup} "

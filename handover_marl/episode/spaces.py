@@ -97,7 +97,7 @@ def check_vector(name: str, values: object, size: int, meaning: str) -> npt.NDAr
     if vector is not None and vector.shape == (size,) and np.isfinite(vector).all():
         return vector
     if vector is None:
-        problem = "got None; pass numbers, of each agent" if values is None else f"got {type(values).__name__}"
+        problem = "got None; pass numbers for each agent" if values is None else f"got {type(values).__name__}"
         if hasattr(values, "detach"):
             problem += " with a gradient or on a GPU; pass tensor.detach().cpu()"
     elif vector.shape != (size,):

@@ -125,7 +125,7 @@ def is_pybullet_installed() -> bool:
 
 
 def require_modules(feature: str, extra: str, *modules: str, advice: str = "") -> None:
-    """Raise OptionError if optional modules are missing; it names the feature and the extra, and gives `advice`."""
+    """Raise an OptionError with feature, extra and `advice` in its text if optional modules are missing."""
     missing = [module for module in modules if not is_installed(module)]
     if missing:
         raise OptionError(f"{feature} needs {' and '.join(missing)}: pip install 'handover-marl[{extra}]'{advice}")

@@ -195,7 +195,7 @@ class GoalSetBuilder:
         return np.asarray(compose(grasps, np.array([0.0, 0.0, -back, 0.0, 0.0, 0.0, 1.0])))
 
     def _solve(self, poses: Array, numbers: npt.NDArray[np.int_], seeds: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
-        """Solve IK for the poses (n, 7) with indices `numbers` (k,) from seeds (k, 7); return joints and success."""
+        """Solve IK for poses (n, 7)[`numbers` (k,)] from seeds (k, 7); return joints (k, 7) and success (k,)."""
         rotations = Rotation.from_quat(poses[:, 3:]).as_matrix()
         targets = poses[numbers, :3], rotations[numbers]
         return solve_ik(self._arm, *targets, seeds, self._limits, _TOLERANCE, _MAX_ITERATIONS)

@@ -152,7 +152,7 @@ def test_other_user_errors(fake_data: Path) -> None:
     with pytest.raises(OptionError, match="options"):
         env.reset(options=[1])  # type: ignore[arg-type]
     for scene_id in (5, "9", 9.5, np.array([9, 14])):
-        with pytest.raises(SceneError, match="s0 val" if isinstance(scene_id, int) else "must be an integer"):
+        with pytest.raises(SceneError, match="s0 val" if isinstance(scene_id, int) else "by its number"):
             env.reset(options={"scene_id": scene_id})
 
 

@@ -57,6 +57,18 @@ def test_a_giver_learns_with_own_rewards(train: ModuleType, tmp_path: Path, monk
 
 
 @pytest.mark.slow
+def test_own_features_and_action_schemes_are_trained_and_evaluated(
+    train: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shorten_episodes(monkeypatch, 500)
+    own, out = "tests.learning.custom", tmp_path / "own.npz"
+    small = {"num_envs": 2, "batch_size": 4, "minibatch_size": 2, "decisions": 4, "workers": 1, "time_limit": 0.6}
+    named = {"features": f"{own}:OffsetAndCount", "action_scheme": f"{own}:FirstJoint"}
+    train.main(train.Args(dataset="synthetic", out=out, val_scenes=1, **small, **named))
+    assert read_policy(out, "receiver", trust=True)[0].features == named["features"]
+
+
+@pytest.mark.slow
 def test_a_training_repeats_from_its_seed(train: ModuleType, tmp_path: Path) -> None:
     small = {"dataset": "synthetic", "num_envs": 2, "batch_size": 8, "epochs": 1, "decisions": 16, "val_scenes": 0}
     # Two workers collect in any order.
