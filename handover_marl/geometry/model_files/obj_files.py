@@ -1,6 +1,5 @@
 """Reader and writer of OBJ mesh files."""
 
-import itertools
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -10,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.errors import DataFormatError
-from handover_marl.execution.reading import read_plain_file, report_damage
+from handover_marl.execution.reading import cached_by_file, read_plain_file, report_damage
 
 Array = npt.NDArray[np.float64]
 Faces = npt.NDArray[np.int64]
@@ -42,6 +41,7 @@ class ObjMesh:
     faces: Faces
 
 
+@cached_by_file(maxsize=128)
 def read_obj(path: Path) -> ObjMesh:
     """Read vertices and triangles of an OBJ mesh file.
 
@@ -64,7 +64,8 @@ def split_obj_lines(content: bytes) -> Iterator[list[str]]:
 
 def _parse_obj(path: Path, lines: Iterator[list[str]]) -> ObjMesh:
     vertices: list[tuple[float, float, float]] = []
-    groups: list[list[tuple[int, int, int]]] = [[]]
+    polygons: list[list[str]] = []
+    counts, starts = list[int](), [0]
     for words in lines:
         kind = words[0]
         if kind == "v":
@@ -74,32 +75,44 @@ def _parse_obj(path: Path, lines: Iterator[list[str]]) -> ObjMesh:
         elif kind == "f":
             if len(words) < 4:
                 raise DataFormatError(f"{path}: a face must have at least three corners; the file may be incomplete")
-            groups[-1] += split_polygon(words[1:], 0, len(vertices))
-        elif kind in ("o", "g") and groups[-1]:
-            groups.append([])
-    points = np.array(vertices, dtype=np.float64).reshape(-1, 3)
-    found = tuple(np.array(group, dtype=np.int64).reshape(-1, 3) for group in groups if group)
-    if not found:
+            polygons.append(words[1:])
+            counts.append(len(vertices))
+        elif kind in ("o", "g"):
+            starts.append(len(polygons))
+    if not polygons:
         raise DataFormatError(f"{path}: the mesh is empty; check the file")
+    points = np.array(vertices, dtype=np.float64).reshape(-1, 3)
     # Checked at the end: faces may precede their vertices.
-    faces = np.concatenate(found)
+    faces, owners = split_polygons(polygons, 0, counts)
     if faces.min() < 0 or faces.max() >= len(points):
         raise DataFormatError(f"{path}: a face names a corner that is not there; check the file")
     if not np.isfinite(points).all():
         raise DataFormatError(f"{path}: a vertex is not finite; check the file")
-    return ObjMesh(points, found, faces)
+    points.flags.writeable = faces.flags.writeable = False  # `read_obj` keeps them
+    groups = np.split(faces, np.searchsorted(owners, starts[1:]))
+    return ObjMesh(points, tuple(group for group in groups if len(group)), faces)
 
 
-def split_polygon(words: Sequence[str], part: int, count: int) -> list[tuple[int, int, int]]:
-    """Split a face into triangles, each as three indices of vertices (part 0) or of texture coordinates (part 1).
+def split_polygons(
+    polygons: Sequence[Sequence[str]], part: int, counts: Sequence[int]
+) -> tuple[Faces, npt.NDArray[np.int64]]:
+    """Split polygons into fans of triangles of vertices (part 0) or of texture coordinates (part 1).
 
-    `words` are the face's corners in the file, e.g. "7/3" for vertex 7 and texture coordinate 3. Numbers in the file
-    count from 1, or, if negative, backwards from the last of the `count` entries before the face. The returned indices
-    count from 0; a missing number becomes -1.
+    A polygon has its corners as in the file, e.g. "7/3" for vertex 7 and texture coordinate 3. Numbers in the file
+    count from 1, or, if negative, backwards from the last of the entries before the polygon, of which there are
+    `counts`. A missing number becomes -1.
+
+    Returns:
+        Indices (f, 3) of the triangles' corners, which count from 0, and the polygon (f,) of each triangle.
     """
-    numbers = [int((word.split("/")[part : part + 1] or [""])[0] or 0) for word in words]
-    first, *others = [n - 1 if n > 0 else count + n if n < 0 else -1 for n in numbers]
-    return [(first, *pair) for pair in itertools.pairwise(others)]
+    numbers = np.array([int(f"{word}//".split("/", 2)[part] or 0) for words in polygons for word in words])
+    sizes = np.array([len(words) for words in polygons])
+    indices = np.where(numbers > 0, numbers - 1, np.where(numbers < 0, np.repeat(counts, sizes) + numbers, -1))
+    owners = np.repeat(np.arange(len(polygons)), sizes - 2)
+    first, first_triangle = (np.cumsum(lengths) - lengths for lengths in (sizes, sizes - 2))
+    step = np.arange(len(owners)) - first_triangle[owners]
+    corners = first[owners, None] + np.stack([0 * step, step + 1, step + 2], axis=1)
+    return indices[corners], owners
 
 
 def format_obj(vertices: Array, faces: Faces, first: int = 1) -> str:

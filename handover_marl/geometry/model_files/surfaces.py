@@ -17,7 +17,7 @@ from PIL import Image
 from handover_marl.execution.reading import read_plain_file, report_damage
 from handover_marl.geometry.kinematic_tree import KinematicTree
 from handover_marl.geometry.model_files.meshes import group_visual_shapes, read_shape_mesh
-from handover_marl.geometry.model_files.obj_files import split_obj_lines, split_polygon
+from handover_marl.geometry.model_files.obj_files import split_obj_lines, split_polygons
 from handover_marl.geometry.model_files.urdf import UrdfShape
 
 Array = npt.NDArray[np.float32]
@@ -95,20 +95,22 @@ def _read_obj_texture(path: Path) -> tuple[Array | None, Texture]:
     Without a texture, the coordinates are None and the texture is a white pixel.
     """
     with report_damage(path, "OBJ file with a texture", "check the file"):
-        lines = list(split_obj_lines(read_plain_file(path)))
+        content = read_plain_file(path)
+        lines = list(split_obj_lines(content)) if b"mtllib" in content else []
         image = _load_first_texture(path.parent, lines)
         if image is None:
             return None, _WHITE
         points: list[tuple[float, ...]] = []
-        faces: list[tuple[int, int, int]] = []
+        polygons, counts = list[list[str]](), list[int]()
         for words in lines:
             if words[0] == "vt":
                 points.append(tuple(map(float, words[1:3])))
             elif words[0] == "f":
-                faces += split_polygon(words[1:], 1, len(points))
+                polygons.append(words[1:])
+                counts.append(len(points))
         # Coordinates of corners without any, as in PyBullet: in files with coordinates, and in files without.
         points.append((0.0, 0.0) if points else (0.5, 0.5))
-        chosen = np.array(faces, dtype=np.int64)
+        chosen, _ = split_polygons(polygons, 1, counts)
         chosen[chosen >= len(points)] = -1
         places = np.array(points, dtype=np.float32)
         if not np.isfinite(places).all():
