@@ -18,11 +18,16 @@ from handover_marl.policies.batch import Actions
 
 
 class HandoverPoseVariation:
-    """Factors by which the givers of `count` episodes scale their deviations from the recorded handover pose.
+    """Variation of the handover pose in `count` episodes in which the robot does not approach.
 
-    `scale` (count,) has one factor for each episode. A factor takes the values in `scales` in turn: the next value each
-    time that the gripper has not come nearer to the object by `min_approach` (m) for `timeout` (s). The factor 0 gives
-    the recorded pose.
+    Each time that the gripper has come no nearer to the object, by `min_approach`, for `timeout`, the next of `scales`
+    scales the deviation from the recorded pose; 0 gives the recorded pose.
+
+    Attributes:
+        scale: (count,) present factor of each episode.
+        timeout: Time without an approach (s).
+        min_approach: Smallest approach that counts (m).
+        scales: Factors, repeated in turn.
     """
 
     timeout = 2.0

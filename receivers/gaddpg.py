@@ -87,7 +87,7 @@ class PointCloudMemory:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the cloud and restart the count of decisions, at the start of an episode."""
+        """Start an episode: remove the cloud, and restart the count of decisions and the random numbers."""
         self.remaining, self.cloud = self._max_steps, np.zeros((3, 0))
         self._mean = np.zeros(3)
         # The scripts seed NumPy's global legacy generator, on whose bits everything depends.

@@ -82,9 +82,9 @@ class Args(SetupArgs):
 
 
 def train_policy(args: Args, agent: _Agent, partner: str, path: Path, seed: int, share: float = 1.0) -> Path:
-    """Train the policy of an agent with a fixed partner, for a share of its decisions, and write its file.
+    """Train the policy of an agent with a fixed partner, write it to `path`, and return `path`; keep an existing file.
 
-    A file that exists is left as it is.
+    `share` is the share (0 to 1) of the agent's `decisions` that are made.
     """
     if path.exists():
         return path

@@ -191,7 +191,7 @@ class Dataset(ABC):
         """Return a text that identifies a scene's content: it changes with the motion, models or robot grasps."""
 
     def describe_models(self, scene_id: int) -> str:
-        """Return text for reports on the origin of a scene's models, e.g. "MANO hand, stand-in grasps"; default: ""."""
+        """Return text for reports on the origin of a scene's models, e.g. "MANO hand, stand-in grasps", or ""."""
         return ""
 
     def find_side(self, scene_id: int) -> str:

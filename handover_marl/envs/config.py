@@ -38,8 +38,7 @@ class EnvConfig(SceneConfig):
     Raises:
         UnknownNameError: There is no such physics, observation mode, reward, renderer, camera or
             render mode.
-        OptionError: `control_period` or `max_cycles` is out of range, or a package is missing that
-            rendering needs.
+        OptionError: A field has the wrong type or is out of range, or a package is missing that rendering needs.
     """
 
     split: str = "train"

@@ -1,5 +1,7 @@
 """Camera observations of many episodes at once, as tensors on a device."""
 
+import numpy as np
+
 from handover_marl.config import CameraConfig, PhysicsConfig
 from handover_marl.datasets.dataset import SceneAssets
 from handover_marl.episode.camera_observations import (
@@ -10,7 +12,7 @@ from handover_marl.episode.camera_observations import (
     count_clouds,
 )
 from handover_marl.episode.observations import Observation
-from handover_marl.episode.spaces import IMAGES, SCENE_POINTCLOUD, parse_obs_mode
+from handover_marl.episode.spaces import IMAGES, POINT_MAP, SCENE_POINTCLOUD, parse_obs_mode
 from handover_marl.geometry.arrays import AnyArray, ArrayFactory
 from handover_marl.simulation.camera.optics import compute_points, make_pinhole
 from handover_marl.simulation.world import WorldState
@@ -75,7 +77,7 @@ class WarpSensors:
             for camera in self._cameras:
                 if self._n_clouds:
                     found |= self._observe_clouds(rows[chunk], states, steps[chunk], camera)
-                if self._parts & IMAGES:
+                if self._parts & {*IMAGES, POINT_MAP}:
                     found |= self._observe_images(rows[chunk], states, camera)
             for key in self._formats:
                 observation[key][chunk] = found[key].reshape(-1, *self._formats[key][0])
@@ -86,8 +88,13 @@ class WarpSensors:
         self._camera.close()
 
     def _observe_images(self, rows: AnyArray, states: WorldState, camera: CameraConfig) -> Observation:
-        images = self._camera.render(rows, states, True, make_pinhole(camera))
-        return {f"{camera.name}_{key}": getattr(images, key) for key in IMAGES}
+        pinhole = make_pinhole(camera)
+        images = self._camera.render(rows, states, True, pinhole)
+        found = {f"{camera.name}_{key}": getattr(images, key) for key in IMAGES}
+        if POINT_MAP in self._parts:
+            pixels = self._arrays.asarray(np.arange(pinhole.n_pixels))
+            found[f"{camera.name}_{POINT_MAP}"] = compute_points(pixels, images.depth, self._model, pinhole)
+        return found
 
     def _observe_clouds(self, rows: AnyArray, states: WorldState, steps: AnyArray, camera: CameraConfig) -> Observation:
         xp, clouds, counts, pinhole = self._arrays.xp, {}, [], make_pinhole(camera)

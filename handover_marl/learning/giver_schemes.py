@@ -19,9 +19,10 @@ class RawGiverScheme(RawScheme):
 
 
 class DeviationScheme(ArrayScheme):
-    """Deviation from the recorded motion: the giver's action Box(8), scaled to [-1, 1].
+    """Scheme whose 8 outputs in [-1, 1] are multiplied by the upper bounds of `giver_action_space`.
 
-    The giver follows the recording if all outputs are 0, and releases the object if the last output exceeds 0.5.
+    They are a change of the playback rate, a displacement (m), a rotation vector (rad) and the release. The giver
+    follows the recording if all are 0, and releases the object if the last one exceeds 0.5.
     """
 
     name, agent, size = "deviation", "giver", GIVER_ACTION_SIZE

@@ -88,8 +88,8 @@ class JointDeltaScheme(JointScheme, InvertibleScheme):
 class HandMotionScheme(JointScheme):
     """Base class of schemes that move the Panda's hand link.
 
-    Joint increments follow from the motion by damped least squares on the Jacobian, so that the arm approaches singular
-    and unreachable poses as near as it can.
+    Joint increments follow from the motion by damped least squares on the Jacobian, so that they stay small near
+    singular poses and for poses out of reach.
 
     Attributes:
         damping: Damping factor of the least squares; a larger one limits motions near singular poses more.

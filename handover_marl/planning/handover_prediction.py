@@ -1,4 +1,4 @@
-"""Prediction of the pose at which a person will hold out an object, from its motion until now."""
+"""Prediction of the pose at which a person will hold out an object, from the object's motion until now."""
 
 from collections import deque
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Inverse kinematics of many hand poses at once by Newton's method, and the solvers that receivers use.
+"""Inverse kinematics of many hand poses at once by damped least squares, and the solvers that receivers use.
 
 Receivers use PyBullet's solver where it is installed, since only its solutions reproduce the
 results of HandoverSim's baselines bit for bit, and the library's own solver otherwise.

@@ -154,7 +154,7 @@ class Policy(ABC):
 
     @abstractmethod
     def act(self, observation: Observation) -> Action:
-        """Return the action for an observation, an element of the agent's action space.
+        """Return an element of the agent's action space for an observation; it is held for `hold_time`.
 
         Args:
             observation: Element of the agent's observation space.

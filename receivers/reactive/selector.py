@@ -190,7 +190,7 @@ class GraspSelector:
         return np.asarray(compose(object_pose, self.grasps[goal.number]))
 
     def compute_standoff_pose(self, grasp_pose: Array) -> Array:
-        """Return the hand link's pose (7,) (quaternion xyzw) at the standoff of a grasp with a given pose (7,)."""
+        """Return the hand link's pose (7,) at the standoff behind `grasp_pose` (7,), in the same frame; both xyzw."""
         return np.asarray(compose(grasp_pose, self._grasp_from_standoff))
 
     def compute_pose_in_grasp(self, goal: GraspGoal, object_pose: Array, gripper_pose: Array) -> Array:

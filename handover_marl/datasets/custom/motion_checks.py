@@ -59,9 +59,10 @@ def check_objects(objects: Float32, bodies: Mapping[str, Array]) -> None:
 def check_motion(
     objects: Float32, hand: Float32, first: int | None, last: int | None, bodies: Mapping[str, Array]
 ) -> None:
-    """Check the motion of the objects (see `check_objects`) and of the hand; raise `DataFormatError` for a fault.
+    """Raise `DataFormatError` if the motion of the objects (see `check_objects`) or of the hand is faulty.
 
-    `hand` (T, 51) is as `Scene.hand_dof`; `first` and `last` are the first and last frame with the hand, None without.
+    The first object must start on something or in the hand. The hand (T, 51), as `Scene.hand_dof`, must come near it
+    and neither jump nor bend fingers too far; it is there from frame `first` to `last`, which are None without a hand.
     """
     check_objects(objects, bodies)
     vertices, *others = (

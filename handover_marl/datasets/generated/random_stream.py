@@ -69,7 +69,7 @@ class RandomStream:
         return low + (high - low) * fraction
 
     def uniforms(self, *shape: int) -> npt.NDArray[np.float64]:
-        """Draw an array of a shape, with the numbers from (0, 1) that single draws would give in this order."""
+        """Draw an array of the given shape, with the numbers from (0, 1) that single draws would give in this order."""
         words = self._bits.random_raw(math.prod(shape))
         return np.asarray(((words >> np.uint64(11)) + 0.5) * 2.0**-53).reshape(shape)
 
@@ -78,7 +78,7 @@ class RandomStream:
         return float(ndtri(self.uniform()))
 
     def normals(self, *shape: int) -> npt.NDArray[np.float64]:
-        """Draw an array of a shape with standard normal numbers."""
+        """Draw standard normal numbers as an array of the given shape."""
         return np.asarray(ndtri(self.uniforms(*shape)))
 
     def integer(self, n: int) -> int:

@@ -131,13 +131,16 @@ class EncodedEnv(ParallelWrapper):
         raise make_no_outputs_error(self.possible_agents[0])
 
     def step(self, actions: dict[str, Any]) -> ParallelStep:
-        """Let the agents act until an action scheme needs outputs again or the episode ends.
+        """Let the agents act for one control period; a single agent until its action scheme needs outputs or the end.
 
         Args:
-            actions: Outputs by agent, elements of the action spaces.
+            actions: Outputs by agent, elements of the action spaces; ignored where a scheme needs none.
 
         Returns:
-            Feature vectors, rewards, terminations, truncations and infos by agent.
+            Feature vectors, undiscounted sums of the rewards, terminations, truncations and infos by agent.
+
+        Raises:
+            ResetNeededError: No episode is running.
         """
         if not (self.agents and self._observations):
             raise ResetNeededError("no episode is running; call reset() before step()")

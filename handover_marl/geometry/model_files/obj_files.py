@@ -64,8 +64,7 @@ def split_obj_lines(content: bytes) -> Iterator[list[str]]:
 
 def _parse_obj(path: Path, lines: Iterator[list[str]]) -> ObjMesh:
     vertices: list[tuple[float, float, float]] = []
-    polygons: list[list[str]] = []
-    counts, starts = list[int](), [0]
+    polygons, counts, starts = list[list[str]](), list[int](), list[int]()
     for words in lines:
         kind = words[0]
         if kind == "v":
@@ -89,7 +88,7 @@ def _parse_obj(path: Path, lines: Iterator[list[str]]) -> ObjMesh:
     if not np.isfinite(points).all():
         raise DataFormatError(f"{path}: a vertex is not finite; check the file")
     points.flags.writeable = faces.flags.writeable = False  # `read_obj` keeps them
-    groups = np.split(faces, np.searchsorted(owners, starts[1:]))
+    groups = np.split(faces, np.searchsorted(owners, starts))
     return ObjMesh(points, tuple(group for group in groups if len(group)), faces)
 
 
@@ -98,15 +97,14 @@ def split_polygons(
 ) -> tuple[Faces, npt.NDArray[np.int64]]:
     """Split polygons into fans of triangles of vertices (part 0) or of texture coordinates (part 1).
 
-    A polygon has its corners as in the file, e.g. "7/3" for vertex 7 and texture coordinate 3. Numbers in the file
-    count from 1, or, if negative, backwards from the last of the entries before the polygon, of which there are
-    `counts`. A missing number becomes -1.
+    A polygon has its corners as in the file, e.g. "7/3" for vertex 7 and texture coordinate 3. Numbers there count from
+    1, or, if negative, backwards from the last of the `counts` entries before the polygon; a missing one becomes -1.
 
     Returns:
         Indices (f, 3) of the triangles' corners, which count from 0, and the polygon (f,) of each triangle.
     """
     numbers = np.array([int(f"{word}//".split("/", 2)[part] or 0) for words in polygons for word in words])
-    sizes = np.array([len(words) for words in polygons])
+    sizes = np.array(list(map(len, polygons)))
     indices = np.where(numbers > 0, numbers - 1, np.where(numbers < 0, np.repeat(counts, sizes) + numbers, -1))
     owners = np.repeat(np.arange(len(polygons)), sizes - 2)
     first, first_triangle = (np.cumsum(lengths) - lengths for lengths in (sizes, sizes - 2))

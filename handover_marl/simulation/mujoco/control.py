@@ -70,20 +70,20 @@ def count_hand_free_steps(
 def place_hand(
     hand: BodyTrajectory, row: int, kinematics: HandKinematics, free_steps: int, positions: Array, quaternions: Array
 ) -> int:
-    """Write the mocap poses of the human hand's bodies in the n remaining steps of a world to arrays.
+    """Write the world poses of the human hand's k bodies in the n steps after `row` to arrays.
 
-    The hand is moved far away in steps in which it cannot collide.
+    In steps in which the hand is absent or cannot touch the robot, the positions are `ABSENT`, far away.
 
     Args:
         hand: Trajectory of the hand.
-        row: Last simulated row of the reference motion.
+        row: Last simulated row of the reference motion, n steps before its end.
         kinematics: Kinematics of the hand's bodies.
         free_steps: Number of coming steps in which the hand cannot touch the robot.
         positions: Array (n, k, 3) to write positions to (m).
         quaternions: Array (n, k, 4) to write quaternions wxyz to.
 
     Returns:
-        Number of coming steps in which the hand is absent or cannot touch the robot.
+        Number of steps before the first one with the hand; its contacts need not be computed in them.
     """
     positions[:free_steps] = ABSENT
     if free_steps >= len(positions):

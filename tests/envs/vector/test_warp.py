@@ -125,7 +125,7 @@ def assert_same_points(found: dict[str, np.ndarray], expected: dict[str, np.ndar
 
 @pytest.mark.slow
 def test_clouds_equal_those_of_single_environments() -> None:
-    options: dict[str, Any] = {"obs_mode": "state+scene_pointcloud", "camera_model": "pinhole"}
+    options: dict[str, Any] = {"obs_mode": "state+scene_pointcloud+point_map", "camera_model": "pinhole"}
     envs = handover_marl.vector_env(COUNT, **WARP, **RECEIVERS, **options)
     observations, _ = envs.reset(seed=SEED)
     found = read_rows(observations)
@@ -137,6 +137,8 @@ def test_clouds_equal_those_of_single_environments() -> None:
         )
         expected, _ = single.reset(seed=SEED + row)
         assert_same_points(own, expected["receiver"])
+        errors = np.linalg.norm(own["wrist_point_map"] - expected["receiver"]["wrist_point_map"], axis=-1)
+        assert (errors < 1e-4).mean() > 0.98
         single.close()
     envs.close()
 
