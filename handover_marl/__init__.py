@@ -42,7 +42,6 @@ _NAMES = {
     "evaluation.crossplay": ("crossplay",),
     "evaluation.demonstrations.demonstration": ("Demonstrations",),
     "evaluation.demonstrations.record": ("demonstrate",),
-    "evaluation.merge": ("merge",),
     "evaluation.rendering": ("render_scene",),
     "evaluation.reports.report": ("Report", "load_report"),
     "evaluation.strangers.protocol": ("strangers",),

@@ -25,7 +25,6 @@ from handover_marl.evaluation.config import ExecutionConfig as ExecutionConfig
 from handover_marl.evaluation.crossplay import crossplay as crossplay
 from handover_marl.evaluation.demonstrations.demonstration import Demonstrations as Demonstrations
 from handover_marl.evaluation.demonstrations.record import demonstrate as demonstrate
-from handover_marl.evaluation.merge import merge as merge
 from handover_marl.evaluation.rendering import render_scene as render_scene
 from handover_marl.evaluation.reports.report import Report as Report
 from handover_marl.evaluation.reports.report import load_report as load_report

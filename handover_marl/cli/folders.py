@@ -111,23 +111,6 @@ def run_compare(
     print_tables(compare(first, second), tables)
 
 
-def run_merge(folders: _Folders, out: Folder, tables: TableArguments = _TABLES) -> None:
-    """Merge the result folders of shards (--shard) into one, and print its table.
-
-    Args:
-        folders: Result folders of the shards, in any order.
-        out: Result folder to create, new or empty; it equals the folder of an evaluation without shards.
-    """
-    from handover_marl.evaluation.merge import merge
-    from handover_marl.evaluation.reports.tables import TabularResult
-
-    result, note = merge(folders, out), f"Results: {Path(out).expanduser()}"
-    if isinstance(result, TabularResult):
-        print_tables(result, tables, note)
-    else:
-        print(f"{result}\n\n{note}", flush=True)
-
-
 def run_convert(
     folder: Folder, /, to: Literal["minari", "lerobot"], name: Annotated[str, tyro.conf.arg(metavar="NAME")]
 ) -> None:

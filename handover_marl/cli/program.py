@@ -27,7 +27,6 @@ _COMMANDS = (
     folders.run_report,
     folders.run_verify,
     folders.run_compare,
-    folders.run_merge,
     folders.run_import,
     folders.run_doctor,
 )

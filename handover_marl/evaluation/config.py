@@ -85,7 +85,7 @@ class ExecutionConfig(PoolConfig):
     """Configuration of the execution: workers and output; outcomes do not depend on it.
 
     Attributes:
-        shard: Part of the scenes to evaluate, e.g. 3/16 for the third of 16; `merge` combines the parts' folders.
+        shard: Part of the scenes to evaluate, e.g. 3/16 for the third of 16; all parts may have one output folder.
         out: Folder for results and reports; an interrupted evaluation resumes there.
         progress: Show a progress bar on stderr.
         trust: Import modules that policy files (learned:FILE) or a population name.
