@@ -4,29 +4,38 @@ The script needs the extras `train` and `vision`.
 
     python experiments/training/train_segmentation.py --data-dir DIR --out runs/segmentation
 
-The script renders randomised images of a training split, trains the network to segment object, person's hand and other
-objects, and prints its intersection over union on held-out scenes of the split, every tenth. The folder gets the images
-and `segmentation.npz` (`--receiver vision:masks=runs/segmentation/segmentation.npz`). A network that was trained on
-scenes with one object takes other objects for it.
+The script renders randomised images of a training split and trains the network to segment object, person's hand and
+other objects; then it trains the part that separates the points of the object and the hand. It prints the
+intersections over union on held-out scenes of the split, every tenth. The folder gets the images, `pixels.npz` after
+the first training, and `segmentation.npz` (`--receiver vision:masks=runs/segmentation/segmentation.npz`). A network
+that was trained on scenes with one object takes other objects for it.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 from rich.progress import track
 
+from handover_marl.learning.imitation.run import ImitationLearner
 from handover_marl.learning.imitation.samples import generate_samples, join_samples
+from handover_marl.learning.imitation.vision.point_segmentation import (
+    PointBatches,
+    PointSegmentationLearner,
+    collect_clouds,
+)
 from handover_marl.learning.imitation.vision.segmentation import (
     SegmentationBatches,
     SegmentationLearner,
     SegmentationRenderer,
     SegmentationViews,
 )
-from handover_marl.learning.networks.segmentation_network import SegmentationNetwork
-from handover_marl.learning.networks.weights import write_network_weights
+from handover_marl.learning.networks.point_segmentation_network import PointSegmentationNetwork
+from handover_marl.learning.networks.segmentation_network import N_CLASSES, SegmentationNetwork
+from handover_marl.learning.networks.weights import read_network_weights, write_network_weights
 from handover_marl.learning.training.run_folder import describe_origin, open_run_folder
 from handover_marl.learning.training.scene_arguments import (
     SetupArgs,
@@ -48,9 +57,11 @@ class Args(SetupArgs):
         stride: Use every n-th scene of the training split.
         updates: Number of gradient updates.
         batch_size: Number of sections of images per gradient update.
+        point_updates: Number of gradient updates of the part for points.
+        point_batch_size: Number of clouds per gradient update of that part.
         workers: Number of worker processes that render; default: one per core.
         device: PyTorch device.
-        resume: Whether to use the images that an earlier run has left in the folder `out`.
+        resume: Whether to use what an earlier run has left in the folder `out`: images, and `pixels.npz`.
     """
 
     out: Path = Path("runs/segmentation")
@@ -60,39 +71,78 @@ class Args(SetupArgs):
     stride: int = 1
     updates: int = 12_000
     batch_size: int = 16
+    point_updates: int = 7_000
+    point_batch_size: int = 10
     workers: int | None = None
     device: str = "cpu"
     resume: bool = False
 
 
-def load_batches(args: Args, scenes: Sequence[int]) -> SegmentationBatches:
-    """Return batches of the images of scenes; render images that are not in the folder of the run."""
+def load_views(args: Args, scenes: Sequence[int]) -> list[SegmentationViews]:
+    """Return the images of each scene; render images that are not in the folder of the run."""
 
     def make_renderer() -> Callable[[int], SegmentationViews]:
         return SegmentationRenderer(args.open_dataset(args.robot), args.views, args.seed).render_scene
 
-    folder = args.out / "views"
-    views = generate_samples(SegmentationViews, folder, scenes, make_renderer, "rendering", args.workers)
-    return SegmentationBatches(join_samples(views))
+    return generate_samples(SegmentationViews, args.out / "views", scenes, make_renderer, "rendering", args.workers)
+
+
+def train_pixels(args: Args, views: list[SegmentationViews], held_out: list[SegmentationViews], path: Path) -> None:
+    """Train the network to classify pixels, and write it to `path`."""
+    torch.manual_seed(args.seed)
+    batches, held_out_batches = (SegmentationBatches(join_samples(part)) for part in (views, held_out))
+    learner = SegmentationLearner(SegmentationNetwork(), args.updates, torch.device(args.device))
+    run_updates(learner, batches, args.updates, args.batch_size, args.seed)
+    print_shares(f"{len(held_out_batches)} images", learner.evaluate(held_out_batches))
+    write_network_weights(path, learner.averaged, {"made by": describe_origin("train_segmentation", args)})
+
+
+def train_points(
+    args: Args, views: list[SegmentationViews], held_out: list[SegmentationViews], network: SegmentationNetwork
+) -> None:
+    """Train the network's part for points."""
+    torch.manual_seed(args.seed)
+    rng = np.random.default_rng(args.seed)
+    clouds, held_out_clouds = (
+        PointBatches(join_samples([found for one in part if (found := collect_clouds(network, one, rng))]))
+        for part in (views, held_out)
+    )
+    learner = PointSegmentationLearner(
+        PointSegmentationNetwork(N_CLASSES), args.point_updates, torch.device(args.device)
+    )
+    run_updates(learner, clouds, args.point_updates, args.point_batch_size, args.seed)
+    print_shares(f"{len(held_out_clouds)} clouds", learner.evaluate(held_out_clouds))
+    network.points = learner.averaged
+
+
+def run_updates(
+    learner: ImitationLearner[Any, Any], batches: SegmentationBatches | PointBatches, updates: int, size: int, seed: int
+) -> None:
+    """Make the gradient updates of a training."""
+    for number in track(range(updates), description="updates"):
+        learner.update(batches.sample(size, np.random.default_rng((seed, number))))
+
+
+def print_shares(what: str, shares: dict[str, float]) -> None:
+    rounded = {name: round(float(share), 3) for name, share in shares.items()}
+    print(f"intersection over union in {what} of held-out scenes: {rounded}")
 
 
 def main(args: Args) -> Path:
     """Train; return the path of the weights."""
     args = args.resolve_setup()
     data = args.open_dataset(args.robot)
-    folder = open_run_folder(args.out, args, args.resume, data.name, ("workers", "device", "updates", "batch_size"))
+    free = ("workers", "device", "updates", "batch_size", "point_updates", "point_batch_size")
+    folder = open_run_folder(args.out, args, args.resume, data.name, free)
     scenes = data.list_scenes(args.setup, "train")[:: args.stride]
-    batches = load_batches(args, select_training_scenes(scenes))
-    held_out = load_batches(args, select_held_out_scenes(scenes))
-    torch.manual_seed(args.seed)
+    views, held_out = (load_views(args, select(scenes)) for select in (select_training_scenes, select_held_out_scenes))
     torch.set_num_threads(1)
-    learner = SegmentationLearner(SegmentationNetwork(), args.updates, torch.device(args.device))
-    for number in track(range(args.updates), description="updates"):
-        learner.update(batches.sample(args.batch_size, np.random.default_rng((args.seed, number))))
-    shares = {name: round(float(share), 3) for name, share in learner.evaluate(held_out).items()}
-    print(f"intersection over union in {len(held_out)} images of held-out scenes: {shares}")
-    path = folder / "segmentation.npz"
-    write_network_weights(path, learner.averaged, {"made by": describe_origin("train_segmentation", args)})
+    pixels, path = folder / "pixels.npz", folder / "segmentation.npz"
+    if not pixels.exists():
+        train_pixels(args, views, held_out, pixels)
+    network, _ = read_network_weights(pixels, SegmentationNetwork)
+    train_points(args, views, held_out, network)
+    write_network_weights(path, network, {"made by": describe_origin("train_segmentation", args)})
     return path
 
 

@@ -1,4 +1,4 @@
-"""Segmentation of wrist camera images by a neural network, which needs PyTorch, and segmented point clouds."""
+"""Segmentation of wrist camera images by neural networks, which need PyTorch, and segmented point clouds."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from handover_marl.episode.camera_observations import CLOUDS, N_POINTS
@@ -28,17 +29,21 @@ CLASS_LABELS = np.array(
     ],
     dtype=np.uint8,
 )
-# Reduction of the hand's logits: without it, the network takes too much of the object for the hand, and the receiver
-# avoids grasps there. Chosen on held-out scenes of s0 train.
-_HAND_REDUCTION = 2.0
+#: Classes of `SegmentationNetwork` whose pixels its second network classifies: object and hand.
+OBJECT_CLASS, HAND_CLASS = 1, 3
+#: Smallest number of pixels of object and hand that it classifies, and number above which only every n-th is used.
+MIN_BODY_PIXELS, _MAX_BODY_PIXELS = 40, 2048
 # Largest distance of a point of the object from their median (m); points beyond it are wrongly segmented.
 _MAX_OBJECT_RADIUS = 0.2
 # Lower and upper corner of the volume of a finger of the open gripper, in the hand link's frame with |y| (m), with a
 # margin for errors of the camera's pose; points in it show the robot.
 _FINGER_LOWER, _FINGER_UPPER = (-0.02, 0.037, 0.0), (0.02, 0.075, 0.12)
 
-#: Function that labels pixels (h, w) by their colours (h, w, 3), depth (h, w) and heights in the world (h, w), in m.
-MaskPredictor = Callable[[npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any]], npt.NDArray[np.uint8]]
+#: Function that labels pixels (h, w) by their colours (h, w, 3), depth (h, w) and points in the world (h, w, 3), and by
+#: the hand link's position (3,), in m.
+MaskPredictor = Callable[
+    [npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any]], npt.NDArray[np.uint8]
+]
 
 
 def load_mask_predictor(weights: str | Path) -> tuple[MaskPredictor, str]:
@@ -46,20 +51,48 @@ def load_mask_predictor(weights: str | Path) -> tuple[MaskPredictor, str]:
     # Imported here since PyTorch is optional, and slow to import.
     import torch
 
+    from handover_marl.learning.networks.point_segmentation_network import N_BODY_POINTS
     from handover_marl.learning.networks.segmentation_network import SegmentationNetwork
     from handover_marl.learning.networks.weights import read_network_weights, single_threaded_inference
 
     network, fingerprint = read_network_weights(weights, SegmentationNetwork)
 
-    def predict(*image: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
+    def compute(module: Callable[..., Any], *inputs: npt.NDArray[Any]) -> npt.NDArray[Any]:
         with single_threaded_inference():
-            logits = network(*(torch.from_numpy(np.ascontiguousarray(part))[None] for part in image))[0].numpy()
-        logits[CLASS_LABELS == SegmentationLabel.HAND] -= _HAND_REDUCTION
+            outputs = module(*(torch.from_numpy(np.ascontiguousarray(part, np.float32))[None] for part in inputs))
+        logits: npt.NDArray[Any] = outputs[0].numpy()
+        return logits
+
+    def predict(
+        rgb: npt.NDArray[Any], depth: npt.NDArray[Any], points: npt.NDArray[Any], hand_link: npt.NDArray[Any]
+    ) -> npt.NDArray[np.uint8]:
+        logits = compute(network, rgb, depth, points[..., 2])
         # NumPy takes an eighth of the time that PyTorch takes.
         labels: npt.NDArray[np.uint8] = CLASS_LABELS[logits.argmax(axis=0)]
+        pixels = find_body_pixels(logits, depth)
+        if len(pixels) < MIN_BODY_PIXELS:
+            return labels
+        labels.flat[pixels] = SegmentationLabel.BACKGROUND
+        pixels = pixels[:: -(-len(pixels) // _MAX_BODY_PIXELS)]
+        bodies, margins = points.reshape(-1, 3)[pixels], (logits[HAND_CLASS] - logits[OBJECT_CLASS]).flat[pixels]
+        chosen = choose_points(len(pixels), N_BODY_POINTS, np.random.default_rng(0))
+        classes = compute(network.points, bodies[chosen], margins[chosen], hand_link).argmax(axis=1)
+        # Each of the other pixels has the class of the nearest point.
+        labels.flat[pixels] = CLASS_LABELS[classes[cKDTree(bodies[chosen]).query(bodies)[1]]]
         return labels
 
     return predict, fingerprint
+
+
+def find_body_pixels(logits: npt.NDArray[Any], depth: npt.NDArray[Any]) -> npt.NDArray[np.int64]:
+    """Return the numbers of the pixels with a depth (h, w) (m) that show object or hand by their logits (4, h, w)."""
+    is_body = np.isin(logits.argmax(axis=0), (OBJECT_CLASS, HAND_CLASS)) & (depth < WRIST_CAMERA.empty_depth)
+    return np.flatnonzero(is_body)
+
+
+def choose_points(available: int, count: int, rng: np.random.Generator) -> npt.NDArray[np.int64]:
+    """Return `count` random indices below `available`, in random order, which repeat only if there are fewer."""
+    return np.resize(rng.permutation(available), count)
 
 
 def segment_clouds(observation: Observation, world_from_hand: Array, predict: MaskPredictor) -> Observation:
@@ -69,8 +102,9 @@ def segment_clouds(observation: Observation, world_from_hand: Array, predict: Ma
     (quaternion xyzw).
     """
     points, depth = observation["wrist_point_map"], observation["wrist_depth"][..., 0]
-    up = Rotation.from_quat(world_from_hand[3:]).as_matrix()[2].astype(np.float32)
-    labels = predict(observation["wrist_rgb"], depth, points @ up + np.float32(world_from_hand[2]))
+    pose = world_from_hand.astype(np.float32)
+    in_world = points @ Rotation.from_quat(pose[3:]).as_matrix().T.astype(np.float32) + pose[:3]
+    labels = predict(observation["wrist_rgb"], depth, in_world, pose[:3])
     # Pixels without a depth have no point.
     labels[depth >= WRIST_CAMERA.empty_depth] = SegmentationLabel.BACKGROUND
     clouds, counts = dict[str, npt.NDArray[Any]](), []

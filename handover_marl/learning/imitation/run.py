@@ -16,7 +16,7 @@ from torch.optim.swa_utils import AveragedModel
 from torch.utils.tensorboard import SummaryWriter
 
 from handover_marl.learning.imitation.samples import Samples, join_samples
-from handover_marl.learning.networks.weights import SavedNetwork, write_network_weights
+from handover_marl.learning.networks.weights import write_network_weights
 from handover_marl.learning.training.run_folder import (
     CHECKPOINT,
     describe_origin,
@@ -27,7 +27,7 @@ from handover_marl.learning.training.run_folder import (
 )
 from handover_marl.learning.training.scene_arguments import SetupArgs
 
-Network = TypeVar("Network", bound=SavedNetwork)
+Network = TypeVar("Network", bound=nn.Module)
 Batch = TypeVar("Batch")
 _WEIGHT_DECAY = 1e-4
 # Updates between two records of losses, and between two evaluations on held-out samples with a checkpoint.

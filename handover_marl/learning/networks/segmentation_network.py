@@ -1,13 +1,14 @@
 """Network that segments images of the wrist camera into object, person's hand, other objects and the rest.
 
 A small U-Net (Ronneberger et al., MICCAI 2015) that computes on blocks of 4 x 4 pixels, which takes a tenth of the time
-of one that computes on pixels.
+of one that computes on pixels, and a second network for the points at which it finds the object or the hand.
 """
 
 import torch
 import torch.nn.functional as func
 from torch import Tensor, nn
 
+from handover_marl.learning.networks.point_segmentation_network import PointSegmentationNetwork
 from handover_marl.learning.networks.weights import SavedNetwork
 
 #: Number of classes: the rest (robot, table, ground), the object to be given, the other objects, the person's hand.
@@ -26,7 +27,11 @@ def _convolve(n_inputs: int, n_outputs: int) -> nn.Sequential:
 
 
 class SegmentationNetwork(SavedNetwork):
-    """Convolutional network that classifies the pixels of images, whose sides must be multiples of 32 pixels."""
+    """Convolutional network that classifies the pixels of images, whose sides must be multiples of 32 pixels.
+
+    Attributes:
+        points: Network that classifies points of object and hand.
+    """
 
     kind = "segmentation"
 
@@ -37,6 +42,7 @@ class SegmentationNetwork(SavedNetwork):
         self.down = nn.ModuleList([nn.Sequential(_convolve(a, b), _convolve(b, b)) for a, b in pairs])
         self.up = nn.ModuleList([_convolve(a + b, a) for a, b in pairs[:0:-1]])
         self.head = nn.Conv2d(_WIDTHS[0], N_CLASSES * _BLOCK**2, 1)
+        self.points = PointSegmentationNetwork(N_CLASSES)
 
     def forward(self, rgb: Tensor, depth: Tensor, height: Tensor) -> Tensor:
         """Return the logits (B, 4, h, w) of the classes of each pixel of B images.

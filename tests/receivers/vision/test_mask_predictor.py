@@ -46,12 +46,12 @@ def test_true_labels_give_the_true_clouds() -> None:
         camera.record_snapshot(episode.world, 10 * step)
     seen = camera.observe(f"full_pointcloud+scene_pointcloud+segmentation+{UNSEGMENTED}", episode.world, STEPS)
     labels, points = seen["wrist_segmentation"][..., 0], seen["wrist_point_map"]
-    found: list[npt.NDArray[Any]] = []
+    found: list[tuple[npt.NDArray[Any], ...]] = []
 
-    def predict(rgb: npt.NDArray[Any], depth: npt.NDArray[Any], height: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
-        found.append(height)
+    def predict(*image: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
+        found.append(image)
         predicted: npt.NDArray[np.uint8] = labels.copy()
-        predicted[depth > 1.99] = SegmentationLabel.TARGET
+        predicted[image[1] > 1.99] = SegmentationLabel.TARGET
         away = np.linalg.norm(points - np.median(points[labels == SegmentationLabel.TARGET], axis=0), axis=-1)
         predicted.flat[np.flatnonzero((away > 0.3) & (labels == SegmentationLabel.TABLE))[:200]] = 3
         return predicted
@@ -68,12 +68,17 @@ def test_true_labels_give_the_true_clouds() -> None:
         if f"wrist_{name}_cloud" in seen:
             np.testing.assert_array_equal(cloud, seen[f"wrist_{name}_cloud"][:count][:: -(-count // 1024)])
     np.testing.assert_array_equal(clouds["wrist_point_counts"], [len(clouds[f"wrist_{name}_points"]) for name in NAMES])
-    assert np.median(found[0][labels == SegmentationLabel.TABLE]) == pytest.approx(0.92, abs=0.01)
+    assert np.median(found[0][2][labels == SegmentationLabel.TABLE, 2]) == pytest.approx(0.92, abs=0.01)
+    np.testing.assert_allclose(found[0][3], pose[:3], atol=1e-6)
     episode.close()
     shipped, _ = load_mask_predictor(find_vision_weights("segmentation", "s0"))
-    guess = shipped(seen["wrist_rgb"], seen["wrist_depth"][..., 0], found[0])
+    guess = shipped(*found[0])
+    np.testing.assert_array_equal(guess, shipped(*found[0]))
+    assert shipped(found[0][0], np.full_like(found[0][1], 2.0), *found[0][2:]).shape == labels.shape
     # The network saw no other objects in its training, and takes some for the target.
-    is_target = labels == SegmentationLabel.TARGET
+    is_target = (labels == SegmentationLabel.TARGET) & np.isin(
+        guess, (SegmentationLabel.TARGET, SegmentationLabel.HAND)
+    )
     assert (guess[is_target] == SegmentationLabel.TARGET).mean() > 0.8 > (guess == SegmentationLabel.TARGET).mean()
 
 

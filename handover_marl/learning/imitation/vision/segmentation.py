@@ -163,12 +163,23 @@ class SegmentationLearner(ImitationLearner[SegmentationNetwork, Batch]):
         with torch.inference_mode():
             for numbers in np.array_split(np.arange(len(held_out)), -(-len(held_out) // _N_EVALUATED)):
                 *inputs, classes = (part.to(self._device) for part in held_out.select(numbers))
-                pairs = N_CLASSES * classes.long() + self.averaged(*inputs).argmax(dim=1)
-                found = pairs[classes != _IGNORED].bincount(minlength=N_CLASSES**2)
-                counts += found.reshape(N_CLASSES, N_CLASSES).cpu().numpy()
-        union = counts.sum(axis=0) + counts.sum(axis=1) - counts.diagonal()
-        shares = counts.diagonal() / np.maximum(union, 1.0)
-        return {SegmentationLabel(label).name.lower(): share for label, share in zip(CLASS_LABELS, shares, strict=True)}
+                has_class = classes != _IGNORED
+                counts += count_pairs(classes[has_class], self.averaged(*inputs).argmax(dim=1)[has_class])
+        return compute_shares(counts)
+
+
+def count_pairs(classes: Tensor, predicted: Tensor) -> npt.NDArray[np.int64]:
+    """Return how often each pair of a true and a predicted class occurs, (4, 4)."""
+    found = (N_CLASSES * classes.long() + predicted).flatten().bincount(minlength=N_CLASSES**2)
+    counts: npt.NDArray[np.int64] = found.reshape(N_CLASSES, N_CLASSES).cpu().numpy()
+    return counts
+
+
+def compute_shares(counts: Array) -> dict[str, float]:
+    """Return the intersection over union of each class, by its name, from the sums (4, 4) of `count_pairs`."""
+    union = counts.sum(axis=0) + counts.sum(axis=1) - counts.diagonal()
+    shares = counts.diagonal() / np.maximum(union, 1.0)
+    return {SegmentationLabel(label).name.lower(): share for label, share in zip(CLASS_LABELS, shares, strict=True)}
 
 
 def _find_classes(segmentation: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
