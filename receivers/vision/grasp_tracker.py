@@ -60,6 +60,8 @@ _REST_SPEED, _VELOCITY_DECAY = 0.04, 0.4
 # Radius of the spheres at points (m), edge length of the voxels that keep one point each (m), and times after which
 # points are removed (s), shorter for the object, which rotates while it is lifted.
 _SPHERE_RADIUS, _VOXEL_SIZE, _HAND_MEMORY, _OBJECT_MEMORY = 0.01, 0.012, 1.5, 0.4
+# Sum of votes on a voxel below which they are forgotten.
+_MIN_VOTES = 0.01
 # Open fingers in the hand link's frame (m), which close along y and approach along z: sides, half width along x, tip.
 _INNER_Y, _OUTER_Y, _HALF_WIDTH, _TIP_Z = 0.039, 0.056, 0.01, 0.112
 # Finger collisions: number of points that are checked, shifts that are tried, the smallest first (m), costs of a shift
@@ -92,6 +94,37 @@ class VoxelMap:
         merged = np.concatenate([points, self.points])
         _, first = np.unique(np.floor(merged / self._voxel_size).astype(np.int64), axis=0, return_index=True)
         self.points, self._times = merged[first], np.concatenate([np.full(len(points), time), self._times])[first]
+
+
+class LabelVotes:
+    """Votes of recent views on which voxels around the object show it, and which show the person's hand.
+
+    Args:
+        voxel_size: Edge length of the voxels (m).
+        memory: Time in which the weight of a vote falls to 37 % (s).
+    """
+
+    def __init__(self, voxel_size: float, memory: float) -> None:
+        self._voxel_size, self._memory = voxel_size, memory
+        self._voxels, self._votes, self._time = np.zeros((0, 3), dtype=np.int64), np.zeros(0), 0.0
+
+    def update(self, time: float, points: Array, is_hand: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+        """Add the votes of a view at a time (s); return which of its points show the hand by all votes.
+
+        Points (n, 3) of object and hand are relative to the object's center (m); the view takes those with `is_hand`
+        (n,) for the hand. Each voxel has one vote per view, the mean of its points.
+        """
+        own, places = np.unique(np.floor(points / self._voxel_size).astype(np.int64), axis=0, return_inverse=True)
+        places = places.reshape(-1)  # NumPy 2.0 returns (n, 1)
+        votes = np.bincount(places, np.where(is_hand, 1.0, -1.0)) / np.bincount(places)
+        old = self._votes * np.exp((self._time - time) / self._memory)
+        kept = np.abs(old) > _MIN_VOTES
+        self._voxels, rows = np.unique(np.concatenate([own, self._voxels[kept]]), axis=0, return_inverse=True)
+        rows = rows.reshape(-1)
+        self._votes = np.asarray(np.bincount(rows, np.concatenate([votes, old[kept]])), dtype=np.float64)
+        self._time = time
+        found: npt.NDArray[np.bool_] = self._votes[rows[: len(own)][places]] > 0.0
+        return found
 
 
 class PositionFilter:

@@ -11,7 +11,7 @@ from handover_marl.planning.robot_clearance import Spheres
 from handover_marl.receivers.reactive.config import ReactiveConfig
 from handover_marl.receivers.reactive.grasp_contact import OBSTACLE_RADIUS
 from handover_marl.receivers.reactive.scene_estimate import SceneEstimate
-from handover_marl.receivers.vision.grasp_tracker import LOST_TIMEOUT, GraspTracker, VoxelMap
+from handover_marl.receivers.vision.grasp_tracker import LOST_TIMEOUT, GraspTracker, LabelVotes, VoxelMap
 from handover_marl.receivers.vision.mask_predictor import MaskPredictor, segment_clouds
 
 Array = npt.NDArray[np.float64]
@@ -19,6 +19,8 @@ Array = npt.NDArray[np.float64]
 #: Times out of sight after which the object is searched for (s). The second is for an object that was at rest when it
 #: was last visible, in scenes with other objects: the arm moves around them, which takes longer.
 SEARCH_TIMEOUT, HIDDEN_TIMEOUT = 0.25, 1.5
+# Edge length of the voxels in which views vote on predicted labels (m), and the memory of the votes (s).
+_VOTE_VOXEL_SIZE, _VOTE_MEMORY = 0.02, 0.5
 #: Edge length of the voxels that keep one point each of the other objects (m).
 OBSTACLE_VOXEL_SIZE = 0.025
 # Finger motion between two decisions below which the fingers are at rest (m). The person seems to have released the
@@ -85,6 +87,7 @@ class PointCloudSceneEstimate(SceneEstimate):
         self._closing_since, self._moved_at = -np.inf, np.inf
         self._search_timeout = SEARCH_TIMEOUT
         self._obstacle_map = VoxelMap(OBSTACLE_VOXEL_SIZE, np.inf)
+        self._votes = LabelVotes(_VOTE_VOXEL_SIZE, _VOTE_MEMORY)
 
     def update(self, observation: Observation) -> None:
         """Update robot, object and person's hand from an observation."""
@@ -96,6 +99,8 @@ class PointCloudSceneEstimate(SceneEstimate):
             observation[f"wrist_{name}_points"][:count].astype(np.float64)
             for name, count in zip(("object", "hand", "other"), counts, strict=True)
         )
+        if self._predict_masks is not None:
+            object_points, hand_points = self._vote(object_points, hand_points)
         self.tracker.update(self.time, self.gripper_pose, object_points, hand_points)
         self._person.update_from_tracker(self.tracker)
         if self.tracker.position.is_known:
@@ -105,6 +110,15 @@ class PointCloudSceneEstimate(SceneEstimate):
             self._set_lost_timeouts()
         if len(others):
             self._update_obstacles(others)
+
+    def _vote(self, object_points: Array, hand_points: Array) -> tuple[Array, Array]:
+        """Return the points (n, 3) of object and hand by the votes of recent views, given those by the present view."""
+        points, position = np.concatenate([object_points, hand_points]), self.tracker.position
+        if not len(points) or not position.is_known:
+            return object_points, hand_points
+        relative = transform_points(self.gripper_pose, points) - position.predict(self.time)
+        is_hand = self._votes.update(self.time, relative, np.arange(len(points)) >= len(object_points))
+        return points[~is_hand], points[is_hand]
 
     def has_released(self, closing_since: float) -> bool:
         """Return whether the person seems to have released the object; the fingers started closing at a time (s).

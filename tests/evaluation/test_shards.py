@@ -1,7 +1,6 @@
 """Tests that shards in one folder equal a single evaluation, byte for byte if measured times are constant."""
 
 import itertools
-import re
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -22,7 +21,6 @@ from handover_marl.evaluation.reports.report import load_report
 from tests.evaluation.demonstrations.recording import record
 from tests.evaluation.quick import SHORT, QuickReceiver
 from tests.helpers.equality import read_files
-from tests.helpers.short_episodes import shorten_episodes
 
 #: Options of a small split with short episodes, which take little time.
 SPLIT = {"setup": "s0", "split": "val", "dataset": "synthetic", "physics": "fast", "world_config": SHORT}
@@ -58,13 +56,6 @@ def test_shards_in_one_folder_are_one_evaluation(tmp_path: Path) -> None:
     assert str(load_report(tmp_path / "shards")) == str(load_report(tmp_path / "whole"))
     with pytest.raises(ResultsError, match=r"holds another evaluation \(seed '0' in the folder, '1' now"):
         handover_marl.evaluate_pair(out=tmp_path / "shards", shard="1/2", seed=1, **options)
-
-
-@pytest.mark.slow
-def test_the_report_says_that_a_shard_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    shorten_episodes(monkeypatch, 20)
-    report = handover_marl.evaluate_pair("replay", out=tmp_path, shard="1/4", **{**OPTIONS, "receiver": "hold"})
-    assert re.search(r"val, (\d+) of (\d+) scenes \(partial\)", str(report))
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ from handover_marl.geometry.panda import HALF_TURN
 from handover_marl.geometry.poses import compose, invert_pose, transform_points
 from handover_marl.receivers.vision import grasp_tracker
 from handover_marl.receivers.vision.grasp_predictor import GraspPrediction
-from handover_marl.receivers.vision.grasp_tracker import COST_SCALE, FilterGains, GraspTracker, Keyframe
+from handover_marl.receivers.vision.grasp_tracker import COST_SCALE, FilterGains, GraspTracker, Keyframe, LabelVotes
 
 Array = NDArray[np.float64]
 
@@ -25,6 +25,15 @@ GRASPS = np.array(
 RNG = np.random.default_rng(0)
 ITEM = 0.02 * RNG.normal(size=(100, 3)) + [0.0, 0.0, 0.3]
 HAND = 0.02 * RNG.normal(size=(30, 3)) + [0.0, 0.05, 0.3]
+
+
+def test_most_views_decide_what_a_voxel_shows_and_old_ones_are_forgotten() -> None:
+    """One of four views takes the object for the hand; later, the hand is where the object was."""
+    votes = LabelVotes(voxel_size=0.02, memory=0.5)
+    points = np.array([[0.001, 0.001, 0.001], [0.002, 0.002, 0.002], [0.3, 0.0, 0.0]])
+    for number, is_hand in enumerate([False, False, True, False]):
+        assert votes.update(0.05 * number, points, np.array([is_hand, is_hand, True])).tolist() == [False, False, True]
+    assert all(votes.update(3.0 + 0.05 * number, points, np.ones(3, dtype=np.bool_)).all() for number in range(5))
 
 
 class FixedPredictor:
