@@ -132,7 +132,7 @@ def main(args: Args) -> Path:
     """Train; return the path of the weights."""
     args = args.resolve_setup()
     data = args.open_dataset(args.robot)
-    free = ("workers", "device", "updates", "batch_size", "point_updates", "point_batch_size")
+    free = ("workers", "device", "point_updates", "point_batch_size")
     folder = open_run_folder(args.out, args, args.resume, data.name, free)
     scenes = data.list_scenes(args.setup, "train")[:: args.stride]
     views, held_out = (load_views(args, select(scenes)) for select in (select_training_scenes, select_held_out_scenes))
