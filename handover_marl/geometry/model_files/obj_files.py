@@ -109,7 +109,7 @@ def split_polygons(
     owners = np.repeat(np.arange(len(polygons)), sizes - 2)
     first, first_triangle = (np.cumsum(lengths) - lengths for lengths in (sizes, sizes - 2))
     step = np.arange(len(owners)) - first_triangle[owners]
-    corners = first[owners, None] + np.stack([0 * step, step + 1, step + 2], axis=1)
+    corners = first[owners, None] + np.stack([np.zeros_like(step), step + 1, step + 2], axis=1)
     return indices[corners], owners
 
 

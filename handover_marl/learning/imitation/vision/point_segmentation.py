@@ -58,7 +58,7 @@ class BodyClouds(NamedTuple):
 def collect_clouds(network: SegmentationNetwork, views: SegmentationViews, rng: Rng) -> BodyClouds | None:
     """Return the clouds of the views in which the network finds enough pixels of object or hand; None if there is none.
 
-    The views' points are in the hand link's frame; their heights in the world tell how it is tilted.
+    The depths of a view give points in the hand link's frame, and their heights the direction of the world's z axis.
     """
     rows = []
     for image in zip(*views, strict=True):
