@@ -47,8 +47,8 @@ class SceneConfig:
         dataset: Dataset: dexycb, synthetic, generated:n=1000,seed=7 (any number of scenes), own:FOLDER (custom scenes),
             or auto (dexycb if a data folder is found, else synthetic).
         data_dir: Data folder in HandoverSim's layout; default: the environment variable HANDOVER_MARL_DATA.
-        physics: Physics: exact (official results), fast (hand and objects are simulated only while the robot is near
-            them), or mujoco (another engine).
+        physics: Physics: exact (official results), fast (objects are simulated only while the robot is near them, or
+            after their release), or mujoco (another engine).
         robot: Robot model: panda, or panda_camera, with the housing of HandoverSim's wrist camera, which can collide.
         renderer: Renderer of the cameras: bullet, rays, or auto (bullet in exact physics, else rays).
         camera_model: Projection of the cameras' point clouds: handoversim (shifted by one pixel, as in the
@@ -100,8 +100,8 @@ class Episode:
     """Simulation of one handover episode at a time; environments and evaluations are built on it.
 
     Args:
-        physics: "exact" is HandoverSim's simulation bit for bit, "fast" simulates hand and objects only while the
-            robot is near them, "mujoco" is another engine.
+        physics: "exact" is HandoverSim's simulation bit for bit, "fast" simulates objects only while the robot is
+            near them, or after their release, "mujoco" is another engine.
         config: Simulated world, protocol and limits of the giver.
         window: Whether to show PyBullet's window.
         sensors: Configuration of the cameras, whose images are rendered only when they are observed.
@@ -183,7 +183,7 @@ class Episode:
             motion.commit(plan, np.array([simulated]))
 
     def _simulate_rollout(self, world: RolloutWorld, target: list[float], steps: int) -> int:
-        """Simulate up to `steps` physics steps in one call of `world`; return the number of simulated steps."""
+        """Simulate up to `steps` physics steps with joint targets `target` (9,) in one call; return their number."""
         states = RefereeState(*(np.array([value]) for value in self._referee.get_state()))
         rules = self.config.protocol
         simulated = type(world).rollout([world], [target], steps, make_judge(states, rules), rules)
@@ -199,7 +199,7 @@ class Episode:
         sensors: Sequence[CameraSensor],
         on_step: Sequence[Callable[["Episode"], None]],
     ) -> int:
-        """Simulate up to `steps` physics steps one after another; return the number of simulated steps."""
+        """Simulate up to `steps` physics steps with the joint targets `target` (9,) one by one; return their number."""
         referee, simulated = self._referee, 0
         while simulated < steps and not referee.status:
             world.step(target)
@@ -233,11 +233,7 @@ class Episode:
         return select_receiver_observation(state, self.observe_camera(obs_mode), obs_mode)
 
     def observe_giver(self, state: Observation) -> Observation:
-        """Return the giver's observation, arrays by the keys of `giver_observation_space`.
-
-        Args:
-            state: The full state as `observe` returns it now.
-        """
+        """Return the giver's observation, see `giver_observation_space`; `state` is what `observe` returns now."""
         own = observe_giver_motion(self._motion, ONLY_ROW)
         return {**state, **{key: values[0] for key, values in own.items()}}
 

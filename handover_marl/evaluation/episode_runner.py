@@ -48,8 +48,8 @@ class EpisodeRunner:
     """Simulator of single scenes of an evaluation (resolved configuration), in this process.
 
     `parallelism` is the number and location of the workers as text, stored beside timings; recorders of the `writers`
-    observe each episode. The giver is None for the replayed one, which cannot fail and takes no time. The `episode`
-    plays all scenes one after the other, and has the state of the last one.
+    observe each episode. The attribute `giver` is None for the replayed one; the attribute `episode` simulates all
+    scenes one after the other, and has the state of the last one.
     """
 
     def __init__(self, config: EvaluationConfig, parallelism: str = "", writers: Sequence[EpisodeWriter] = ()) -> None:
@@ -66,7 +66,7 @@ class EpisodeRunner:
     def run(self, task: SceneTask, receiver: EpisodePolicy | None = None) -> FinishedEpisode:
         """Simulate a scene to the end of its episode; return the result and the content of each writer's file.
 
-        A `receiver` plays instead of the configured one.
+        A `receiver` acts instead of the configured one.
         """
         scene = self.dataset.load_scene(task.scene_id)
         fingerprint = self.dataset.compute_fingerprint(task.scene_id)
@@ -103,9 +103,8 @@ class EpisodeRunner:
         return result, tuple(encode(result, trace) for _, encode in self._recorders)
 
     def close(self) -> None:
-        """Free the memory and the physics client of the simulation."""
+        """Close the simulation."""
         self.episode.close()
-        self._trace_recorder.close()
 
 
 def run_episodes(

@@ -1,6 +1,5 @@
 """Smallest distance between the surfaces of robot and human hand, and its margin over required distances."""
 
-from abc import ABC, abstractmethod
 from pathlib import Path
 
 import numpy as np
@@ -15,46 +14,23 @@ Array = npt.NDArray[np.float64]
 _MAX_DISTANCE = 3.0  # m
 
 
-class DistanceQuery(ABC):
-    """Distance query between the shapes of a Panda and of a human hand, by a physics engine."""
-
-    @abstractmethod
-    def read_bounding_spheres(self, urdf: Path) -> dict[int, BoundingSphere]:
-        """Return the bounding spheres of all links with collision shapes, by link number; -1 is the base."""
-
-    @abstractmethod
-    def measure(self, hand_urdf: Path, robot: list[float], hand: list[float], max_distance: float) -> float:
-        """Measure the smallest distance between the surfaces of robot and human hand (m).
-
-        The result is at most `max_distance`; it is 0 or negative if robot and hand overlap.
-
-        Args:
-            hand_urdf: Model of the human hand.
-            robot: Nine joint positions of the Panda (rad, m).
-            hand: 51 joint positions of the hand (m, rad).
-            max_distance: Distance (m) beyond which the engine need not search.
-        """
-
-    @abstractmethod
-    def close(self) -> None:
-        """Free the memory of the simulation."""
-
-
 class ClearanceMonitor:
     """Calculator of the smallest distance between a moving Panda and a moving human hand.
 
     Distances between collision shapes are slow to measure, and are measured at few times only: spheres around the links
-    rule out most times, and bounds on the motion of the links rule out times near a measured one. The distance query
-    has a simulation of its own and does not change the world's state.
+    rule out most times, and bounds on the motion of the links rule out times near a measured one. MuJoCo measures them
+    in a model of its own, whatever the physics engine of the world is.
 
     Args:
         panda_urdf: Model of the robot.
         config: Base pose of the robot.
-        distance_query: Distance query, from `simulation.engines.make_distance_query`.
     """
 
-    def __init__(self, panda_urdf: Path, config: PandaConfig, distance_query: DistanceQuery) -> None:
-        self._query = distance_query
+    def __init__(self, panda_urdf: Path, config: PandaConfig) -> None:
+        # MuJoCo takes long to import.
+        from handover_marl.simulation.mujoco.distance_query import DistanceQuery
+
+        self._query = DistanceQuery(panda_urdf, config)
         self._panda_urdf = panda_urdf
         self._world_from_panda = np.array([*config.base_position, *config.base_orientation])
 
@@ -97,10 +73,6 @@ class ClearanceMonitor:
             bounds[left] = np.maximum(bounds[left], found - moved[0] - moved[1] - needed[left])
             left = left[bounds[left] < smallest]
         return smallest
-
-    def close(self) -> None:
-        """Free the memory of the simulation."""
-        self._query.close()
 
 
 class _MovingSpheres:

@@ -1,19 +1,17 @@
-"""Physics engines by name: creation of worlds and distance queries."""
+"""Physics engines by name: creation of worlds."""
 
 from dataclasses import dataclass
-from pathlib import Path
 
-from handover_marl.config import PandaConfig, PhysicsConfig
+from handover_marl.config import PhysicsConfig
 from handover_marl.errors import OptionError, check_name
 from handover_marl.execution.options import is_pybullet_installed, require_modules, require_pybullet
 from handover_marl.geometry.arrays import ArrayFactory
-from handover_marl.simulation.distance_queries import DistanceQuery
 from handover_marl.simulation.world import World
 from handover_marl.simulation.worlds import HostWorlds, Worlds
 
 EXACT, FAST, MUJOCO = "exact", "fast", "mujoco"
-#: "exact" equals HandoverSim's PyBullet simulation bit for bit; "fast" is PyBullet that simulates hand and objects only
-#: while the robot is near them; "mujoco" is MuJoCo.
+#: "exact" equals HandoverSim's PyBullet simulation bit for bit; "fast" is PyBullet that simulates objects only while
+#: the robot is near them, or after their release; "mujoco" is MuJoCo.
 PHYSICS = (EXACT, FAST, MUJOCO)
 
 THREADS, WARP = "threads", "warp"
@@ -108,17 +106,3 @@ def make_worlds(config: PhysicsConfig, count: int, backend: BatchBackend, arrays
 
     simulation = BatchSimulation()
     return HostWorlds([MujocoWorld(config, simulation=simulation) for _ in range(count)])
-
-
-def make_distance_query(panda_urdf: Path, config: PandaConfig) -> DistanceQuery:
-    """Create a query of distances between a Panda's model, at the base pose of `config`, and a hand.
-
-    The engine is PyBullet, or MuJoCo if PyBullet is not installed; the distances of both agree to 0.5 mm.
-    """
-    if is_pybullet_installed():
-        from handover_marl.simulation.bullet.kinematics import BulletDistanceQuery
-
-        return BulletDistanceQuery(panda_urdf, config)
-    from handover_marl.simulation.mujoco.distance_query import MujocoDistanceQuery
-
-    return MujocoDistanceQuery(panda_urdf, config)

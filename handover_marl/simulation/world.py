@@ -101,7 +101,7 @@ class RolloutContacts(NamedTuple):
 
 
 class RolloutEnd(NamedTuple):
-    """Result of the task's rules for a rollout of n worlds; in each, steps count up to the first release or end.
+    """Result of the task's rules for a rollout of n worlds, whose steps count up to their first release or end.
 
     Attributes:
         steps: Number (n,) of steps that count in each world; 0 for worlds that had ended before.

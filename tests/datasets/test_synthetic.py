@@ -75,9 +75,9 @@ def set_frame(episode: Episode, frame: int) -> ExactWorld:
     hand = scene.hand_dof[frame].tolist() if scene.is_hand_present(np.array(frame)) else None
     world._update_hand(hand)
     if world._hand is not None and hand is not None:
-        world._hand.reset_joints_at_rest(hand)
+        world._hand.reset_joints(hand)
     for body, dof in zip(world._objects, scene.object_dof[frame].tolist(), strict=True):
-        body.reset_joints_at_rest(dof)
+        body.reset_joints(dof)
     return world
 
 

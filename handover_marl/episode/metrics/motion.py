@@ -16,7 +16,6 @@ from handover_marl.episode.loop import EpisodeCallback
 from handover_marl.geometry.kinematic_tree import compute_link_trajectory, read_tree
 from handover_marl.geometry.panda import HAND_LINK
 from handover_marl.simulation.distance_queries import ClearanceMonitor
-from handover_marl.simulation.engines import make_distance_query
 from handover_marl.simulation.reference_tracking import WRIST_LINK
 
 if TYPE_CHECKING:
@@ -161,8 +160,7 @@ class TraceRecorder(EpisodeCallback):
             hand_frames = compute_link_trajectory(assets.hand, hand)
             wrist[has_hand] = hand_frames[0][:, WRIST_LINK]
             if assets.panda not in self._monitors:
-                query = make_distance_query(assets.panda, panda)
-                self._monitors[assets.panda] = ClearanceMonitor(assets.panda, panda, query)
+                self._monitors[assets.panda] = ClearanceMonitor(assets.panda, panda)
             monitor, (origins, rotations) = self._monitors[assets.panda], robot_frames
             motion = assets.hand, robot[has_hand], hand, (origins[has_hand], rotations[has_hand]), hand_frames
             min_distance = 0.0 if self._hand_forces else monitor.compute_min_margin(*motion)
@@ -188,12 +186,6 @@ class TraceRecorder(EpisodeCallback):
             min_separation_margin=min_margin,
             side=episode.scene.info.side,
         )
-
-    def close(self) -> None:
-        """Free the simulations that measure distances between robot and human hand."""
-        for monitor in self._monitors.values():
-            monitor.close()
-        self._monitors.clear()
 
     def _sample(self, episode: "Episode") -> None:
         joints = episode.world.read_agent_joints()

@@ -115,14 +115,6 @@ class ArticulatedBody:
         for joint, position, velocity in zip(self.joints, positions, speeds, strict=True):
             self.client.resetJointState(self.id, joint, position, velocity)
 
-    def reset_joints_at_rest(self, positions: Sequence[float]) -> None:
-        """Set positions (m, rad) of the moving joints, at rest; faster than `reset_joints`.
-
-        Later simulated states differ in the last bits from those after `reset_joints`, so use this method for distances
-        only.
-        """
-        self.client.resetJointStatesMultiDof(self.id, self.joints, [[position] for position in positions])
-
     def set_motor_targets(self, target: list[float]) -> None:
         """Set the target positions (m, rad) of the body's joint motors, unless they equal the last ones."""
         if target == self._target:

@@ -1,7 +1,4 @@
-"""Inverse kinematics of the Panda, and its distance from a human hand, by PyBullet.
-
-Each solver or query has its own physics client. Quaternions are xyzw.
-"""
+"""Inverse kinematics of the Panda by PyBullet; each solver has its own physics client. Quaternions are xyzw."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,16 +6,14 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import ARM_DOF, HandConfig, PandaConfig
+from handover_marl.config import ARM_DOF, PandaConfig
 from handover_marl.geometry.arm import IkSolver, ReachabilityBound
-from handover_marl.geometry.kinematic_tree import BoundingSphere, read_tree
+from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import HAND_LINK
 from handover_marl.geometry.poses import invert_pose, transform_points
 from handover_marl.geometry.rotations import compute_rotation_angles, multiply_quaternions
-from handover_marl.simulation.bullet.bodies import INERTIAL_POSE, HandBody, PandaBody, reset_base
-from handover_marl.simulation.bullet.client import CONTACT_DISTANCE, connect, load_urdf
-from handover_marl.simulation.bullet.sleepable_bodies import read_bounding_spheres
-from handover_marl.simulation.distance_queries import DistanceQuery
+from handover_marl.simulation.bullet.bodies import INERTIAL_POSE, PandaBody, reset_base
+from handover_marl.simulation.bullet.client import connect, load_urdf
 
 Array = npt.NDArray[np.float64]
 
@@ -27,7 +22,6 @@ _POSITION_TOLERANCE = 1e-3
 _ANGLE_TOLERANCE = 0.1
 _MAX_ROUNDS = 1000
 _ARM_JOINTS = tuple(range(ARM_DOF))
-_HAND_CONFIG = HandConfig()
 
 
 class BulletIKStep:
@@ -127,30 +121,3 @@ class BulletIKSolver(IkSolver):
             return False
         turned = multiply_quaternions(rotation, self._mass_from_hand[3:])
         return orientation is None or bool(compute_rotation_angles(turned, orientation) < _ANGLE_TOLERANCE)
-
-
-class BulletDistanceQuery(DistanceQuery):
-    """Distance query between Panda and human hand by PyBullet, in a separate physics client."""
-
-    def __init__(self, panda_urdf: Path, config: PandaConfig) -> None:
-        self._client = connect()
-        self._panda = PandaBody(self._client, panda_urdf, config)
-        self._hands: dict[Path, HandBody] = {}
-
-    def read_bounding_spheres(self, urdf: Path) -> dict[int, BoundingSphere]:
-        """Return the bounding spheres of all links with collision shapes, by link number; -1 is the base."""
-        return read_bounding_spheres(urdf)
-
-    def measure(self, hand_urdf: Path, robot: list[float], hand: list[float], max_distance: float) -> float:
-        """Return the smallest distance (m) of the surfaces of Panda and human hand, see `DistanceQuery.measure`."""
-        self._panda.reset_joints_at_rest(robot)
-        if hand_urdf not in self._hands:
-            self._hands[hand_urdf] = HandBody(self._client, hand_urdf, hand, _HAND_CONFIG)
-        body = self._hands[hand_urdf]
-        body.reset_joints_at_rest(hand)
-        points = self._client.getClosestPoints(self._panda.id, body.id, max_distance)
-        return min((float(point[CONTACT_DISTANCE]) for point in points), default=max_distance)
-
-    def close(self) -> None:
-        """Disconnect from the PyBullet physics server."""
-        self._client.close()

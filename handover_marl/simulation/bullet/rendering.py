@@ -169,7 +169,7 @@ class SceneRenderer:
         return rgb
 
     def render(self, snapshot: JointSnapshot, color: bool, camera: Pinhole = WRIST_CAMERA) -> CameraImage:
-        """Render an image of a camera at given joint positions of all bodies."""
+        """Render an image of a camera at the joint positions `snapshot` of all bodies; `color` adds colours."""
         self.set_joints(snapshot)
         return render_camera(self._client, self._workcell, self._objects, self._hand, color, camera)
 

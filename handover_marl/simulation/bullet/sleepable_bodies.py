@@ -93,13 +93,13 @@ class SleepableObject(BodyTrajectory):
             self.body = ObjectBody(self._client, self._urdf, self._mask, self._config, joints.tolist(), velocities)
 
     def read_joints(self, row: int) -> npt.NDArray[np.float32]:
-        """Return the object's joints (6,) after step `row` of the reference, float32 (m, rad)."""
+        """Return the object's present joints (6,), float32 (m, rad); `row` is the last step of the reference so far."""
         if self.body is not None:
             return self.body.read_joint_positions()
         return self.get_joints(row).astype(np.float32)
 
     def read_pose(self, row: int) -> npt.NDArray[np.float32]:
-        """Return the object's world pose (7,) after step `row` of the reference, float32: xyz (m), quaternion xyzw."""
+        """Return the object's present world pose (7,), float32: xyz (m), quaternion xyzw; `row` as in `read_joints`."""
         if self.body is not None:
             return self.body.read_pose()
         poses = self._tree.compute_link_poses(self.get_joints(row)[None], [len(self._tree.joints) - 1])

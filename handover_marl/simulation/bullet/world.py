@@ -45,7 +45,6 @@ class BulletWorld(World):
         self._client: BulletClient = connect()
         self._window: BulletClient | None = connect(window=True) if window else None
         self._shown: SceneRenderer | None = None
-        # Physics steps since the last reset.
         self._n_steps = 0
         self._workcell: Workcell | None = None
         self._release_pending = False
@@ -94,7 +93,7 @@ class BulletWorld(World):
 
     @abstractmethod
     def _read_object_poses(self) -> npt.NDArray[np.float32]:
-        """Return the world poses (n, 7) of the objects, float32."""
+        """Return the world poses (n, 7) of the objects, quaternions xyzw, float32."""
 
     @abstractmethod
     def _read_hand_joints(self) -> npt.NDArray[np.float32] | None:

@@ -103,7 +103,7 @@ class ExactWorld(BulletWorld):
 
 
 class FastWorld(BulletWorld):
-    """PyBullet world that simulates hand and objects only while the Panda is near them.
+    """PyBullet world that simulates objects only while the Panda is near them, or after their release.
 
     The Panda, every object that it could touch, and after a release all objects are simulated as in `ExactWorld`. The
     human hand follows its reference kinematically, as its motors would move it: by its collision mask it can touch only

@@ -64,7 +64,7 @@ class Pinhole:
         width: Width of the image (pixels).
         height: Height of the image (pixels).
         focal: Focal lengths along image right and down (pixels).
-        principal: Principal point (column, row), in numbers of pixels.
+        principal: Principal point (column, row) in pixels from the center of the first pixel.
         near: Distance of the near plane (m).
         far: Distance of the far plane (m).
         link: Link of the robot in whose frame the pose is; "" for the world frame.

@@ -1,4 +1,4 @@
-"""Selection of the renderer of cameras."""
+"""Selection of the renderer of camera images: PyBullet's, or ray casting."""
 
 from handover_marl.errors import check_name
 from handover_marl.execution.options import is_pybullet_installed, require_modules, require_pybullet

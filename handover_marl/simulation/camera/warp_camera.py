@@ -223,7 +223,7 @@ class WarpCamera:
             limit: Largest number of pixels.
             seeds: Seeds (r,), 32 bits, int64.
             steps: Numbers (r,) of simulated steps, int64.
-            stream: Number of the random stream.
+            stream: Number that makes the random choice independent of choices with other numbers.
 
         Returns:
             Numbers (r, limit) of the pixels, ascending; missing ones are p, the number of pixels of an image.
@@ -274,7 +274,7 @@ class WarpCamera:
     def _make_kernel_inputs(
         self, bank: MeshBank, rows: AnyArray, states: WorldState, camera: Pinhole
     ) -> "list[warp.array]":
-        """Make the inputs of `render_images` up to `pinholes`: meshes, textures, and the poses of the cameras."""
+        """Return the arguments `meshes` to `pinholes` of the kernel `render_images`, for one camera in each world."""
         xp = self._arrays.xp
         origins, rotations = self._compute_frames(rows, states)
         mount = self._mounts[camera.link]
@@ -312,7 +312,7 @@ class WarpCamera:
         return warp.from_torch(own.contiguous(), dtype)
 
     def _compute_frames(self, rows: AnyArray, states: WorldState) -> tuple[AnyArray, AnyArray]:
-        """Return world origins (r, f, 3) and rotations (r, f, 3, 3) of the f frames that mesh slots refer to."""
+        """Return origins (r, f, 3) and rotations (r, f, 3, 3) of the links, objects and the world, in the world."""
         xp = self._arrays.xp
         origins, rotations = self._robots.compute_link_frames(
             self._robot[rows], widen(states.robot_joint_position)[:, None]

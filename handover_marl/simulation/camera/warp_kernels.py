@@ -103,7 +103,7 @@ def sample_texture(
     face: int,
     weights: warp.vec2,
 ) -> warp.vec3:
-    """Return the colour, 0 to 255, of a point on a face, given by the weights of the second and third corner."""
+    """Return the colour, 0 to 255, of a point on a face, by weights of corners 2 and 3; see `render_images`."""
     origin, texture = corners[face, 0], textures[face]
     place = origin + weights[0] * (corners[face, 1] - origin) + weights[1] * (corners[face, 2] - origin)
     column = warp.min(int((place[0] - warp.floor(place[0])) * float(texture[1])), texture[1] - 1)

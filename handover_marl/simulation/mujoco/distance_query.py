@@ -7,14 +7,18 @@ import numpy as np
 
 from handover_marl.config import PandaConfig, PhysicsConfig
 from handover_marl.geometry.kinematic_tree import BoundingSphere, read_tree
-from handover_marl.simulation.distance_queries import DistanceQuery
 from handover_marl.simulation.mujoco.batch_simulation import HandKinematics
 from handover_marl.simulation.mujoco.models.collision_shapes import compute_bounding_spheres
 from handover_marl.simulation.mujoco.models.scene_spec import SceneModelBuilder
 
 
-class MujocoDistanceQuery(DistanceQuery):
-    """Distance query between Panda and human hand by MuJoCo, with one model for each hand."""
+class DistanceQuery:
+    """Distance query between the shapes of a Panda and of human hands, with one model for each hand.
+
+    Args:
+        panda_urdf: Model of the robot.
+        config: Base pose of the robot.
+    """
 
     def __init__(self, panda_urdf: Path, config: PandaConfig) -> None:
         self._panda_urdf, self._config = panda_urdf, PhysicsConfig(panda=config)
@@ -25,14 +29,19 @@ class MujocoDistanceQuery(DistanceQuery):
         return compute_bounding_spheres(urdf, read_tree(urdf))
 
     def measure(self, hand_urdf: Path, robot: list[float], hand: list[float], max_distance: float) -> float:
-        """Return the smallest distance (m) of the surfaces of Panda and human hand, see `DistanceQuery.measure`."""
+        """Measure the smallest distance between the surfaces of robot and human hand (m).
+
+        The result is at most `max_distance`; it is 0 or negative if robot and hand overlap.
+
+        Args:
+            hand_urdf: Model of the human hand.
+            robot: Nine joint positions of the Panda (rad, m).
+            hand: 51 joint positions of the hand (m, rad).
+            max_distance: Distance (m) beyond which no search is needed.
+        """
         if hand_urdf not in self._pairs:
             self._pairs[hand_urdf] = _RobotHandPair(self._panda_urdf, hand_urdf, self._config)
         return self._pairs[hand_urdf].measure(robot, hand, max_distance)
-
-    def close(self) -> None:
-        """Free the MuJoCo models of all hands."""
-        self._pairs.clear()
 
 
 class _RobotHandPair:
@@ -51,7 +60,7 @@ class _RobotHandPair:
         self._margins = model.geom_margin[self._pairs].sum(axis=1)
 
     def measure(self, robot: list[float], hand: list[float], max_distance: float) -> float:
-        """Return the smallest distance (m) of the surfaces of Panda and human hand, see `DistanceQuery.measure`."""
+        """Measure the smallest distance (m) between the surfaces, see `DistanceQuery.measure`."""
         model, data = self._model, self._data
         poses = self._hand.compute_poses(np.array([hand]))
         data.qpos[:], data.mocap_pos[:], data.mocap_quat[:] = robot, poses[0][0], poses[1][0]

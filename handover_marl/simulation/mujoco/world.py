@@ -274,7 +274,6 @@ class MujocoWorld(RolloutWorld):
         self._set_state()
         data, scene, hand = self.data, self.data.scene, self._get_hand_joints()
         positions, quaternions = self.robot.compute_body_poses(data.qpos[scene.robot_qpos])
-        # The gripper's pose, then the objects'.
         poses = np.concatenate(
             [positions[scene.gripper], quaternions[scene.gripper], data.qpos[scene.object_qpos]]
         ).reshape(-1, 7)

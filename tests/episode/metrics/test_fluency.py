@@ -1,7 +1,6 @@
 """Tests of the fluency metrics on constructed traces with known values, and of the recorders of traces and actions."""
 
 import dataclasses
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,10 +21,9 @@ from handover_marl.episode.metrics.motion import (
 )
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.geometry.kinematic_tree import compute_link_trajectory
-from handover_marl.geometry.panda import ROBOTS
 from handover_marl.receivers import make
-from handover_marl.simulation.bullet.kinematics import BulletDistanceQuery
-from handover_marl.simulation.distance_queries import ClearanceMonitor, DistanceQuery
+from handover_marl.simulation.distance_queries import ClearanceMonitor
+from handover_marl.simulation.mujoco.distance_query import DistanceQuery
 from handover_marl.simulation.world import AgentJoints, Contacts
 from tests.helpers.playing import StepRecorder, play
 
@@ -100,7 +98,6 @@ def test_the_margin_at_a_contact_is_that_of_the_last_sample(monkeypatch: pytest.
     assert recorder.trace.min_separation_margin == exactly(-0.15)
     assert (recorder.trace.min_distance, recorder.trace.max_hand_force) == (0.0, 10.0)
     assert recorder.trace.hand_impulse == exactly(10.0 * TIME_STEP)
-    recorder.close()
     episode.close()
 
 
@@ -274,12 +271,11 @@ def robot_frames(dof: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return compute_link_trajectory(SyntheticDataset().panda_urdf, dof, base)
 
 
-@pytest.mark.parametrize("engine", ["bullet", "mujoco"])
-def test_no_time_is_missed_by_the_bounds(engine: str) -> None:
+def test_no_time_is_missed_by_the_bounds() -> None:
     """The minimum distance and margin of a motion equal the minima of the distances measured at every sample."""
     scene, rng = SyntheticDataset().load_scene(209), np.random.default_rng(0)
-    distance_query = make_distance_queries(scene.assets.panda)[engine]
-    meter = ClearanceMonitor(scene.assets.panda, OFFICIAL_CONFIG.physics.panda, distance_query)
+    panda = scene.assets.panda, OFFICIAL_CONFIG.physics.panda
+    meter, distance_query = ClearanceMonitor(*panda), DistanceQuery(*panda)
     lower = np.array([-2.9, -1.8, -2.9, -3.1, -2.9, 0.0, -2.9])
     upper = np.array([2.9, 1.8, 2.9, 0.0, 2.9, 3.7, 2.9])
     for middle in ([0.61, -0.5, 0.95], [0.4, 0.1, 1.2], [0.61, -0.2, 1.25], [0.61, -0.75, 0.95]):
@@ -301,37 +297,6 @@ def test_no_time_is_missed_by_the_bounds(engine: str) -> None:
             required = rng.uniform(0.0, 0.3, len(distances))
             margin = meter.compute_min_margin(scene.assets.hand, robot[chosen], hand[chosen], *frames, required)
             assert margin == pytest.approx(np.min(distances - required), abs=1e-4)
-    meter.close()
-
-
-def make_distance_queries(panda: Path) -> dict[str, DistanceQuery]:
-    from handover_marl.simulation.mujoco.distance_query import MujocoDistanceQuery
-
-    config = OFFICIAL_CONFIG.physics.panda
-    return {"bullet": BulletDistanceQuery(panda, config), "mujoco": MujocoDistanceQuery(panda, config)}
-
-
-@pytest.mark.parametrize("robot", ROBOTS)
-def test_engines_measure_alike(robot: str) -> None:
-    """Both engines measure the same distance, also for overlapping bodies and for boxes, which have no margin."""
-    scene, rng = SyntheticDataset(robot).load_scene(209), np.random.default_rng(1)
-    queries = make_distance_queries(scene.assets.panda)
-    found = []
-    for _ in range(40):
-        arm = rng.uniform([-2.9, -1.8, -2.9, -3.1, -2.9, 0.0, -2.9], [2.9, 1.8, 2.9, 0.0, 2.9, 3.7, 2.9])
-        hand = scene.hand_dof[-1].astype(np.float64)
-        hand[:3], hand[3:6] = rng.normal([0.5, -0.2, 1.2], 0.25), rng.uniform(-np.pi, np.pi, 3)
-        given = scene.assets.hand, [*arm.tolist(), 0.03, 0.01], hand.tolist()
-        found.append([distance_query.measure(*given, 3.0) for distance_query in queries.values()])
-        assert all(
-            distance_query.measure(*given, 0.01) == pytest.approx(min(0.01, found[-1][0]), abs=1e-3)
-            for distance_query in queries.values()
-            if found[-1][0] > 0.0
-        )
-    bullet, mujoco = np.maximum(np.array(found).T, 0.0)
-    assert (bullet == 0.0).any()
-    assert (bullet > 0.05).any()
-    np.testing.assert_allclose(mujoco, bullet, atol=5e-4)
 
 
 @pytest.mark.slow
@@ -352,7 +317,6 @@ def test_every_engine_measures_the_force_on_the_person(physics: str) -> None:
         points = client.getContactPoints(world._loaded_workcell.panda.id)  # type: ignore[attr-defined]
         force = sum(point[9] for point in points if point[2] in hand)
         assert found.max_robot_hand_force == pytest.approx(force)
-    recorder.close()
     episode.close()
 
 
@@ -411,5 +375,4 @@ def test_recording_changes_nothing_and_notes_what_can_be_seen() -> None:
     assert played.exchange_time >= 0.099, "the rules ask for contacts in 100 steps"
     assert played.gripper_contact_speed < played.gripper_max_speed
     assert played.min_separation_margin <= played.min_distance
-    recorder.close()
     episode.close()

@@ -57,7 +57,7 @@ class WarpRollout:
 
     Attributes:
         rows: Numbers (r,) of the worlds.
-        places: For each of the d rows of the engine that are used, the index (d,) in `rows` of its world.
+        places: Indices (d,) in `rows` of the worlds that are in the first d rows of the engine's arrays.
         scenes: Numbers (d,) of the scenes in the engine's rows.
         released: Whether the target objects in the engine's rows are released, (d,).
         states: Last states (r, ...) of the worlds while they ran, by name.

@@ -70,7 +70,7 @@ class MeshPool:
 
 
 def _select_mesh(model: "mujoco.MjModel", mesh: int) -> dict[str, npt.NDArray[np.generic]]:
-    """Return the arrays of one mesh, with addresses that start at zero."""
+    """Return MuJoCo's arrays of one mesh by name; its addresses, indices into other arrays, start at zero."""
     vertices = slice(model.mesh_vertadr[mesh], model.mesh_vertadr[mesh] + model.mesh_vertnum[mesh])
     polygons = slice(model.mesh_polyadr[mesh], model.mesh_polyadr[mesh] + model.mesh_polynum[mesh])
     arrays = {

@@ -124,7 +124,7 @@ def _compute_bounds(parts: Sequence[ConvexPart], has_offset: bool) -> tuple[Arra
 
 @functools.lru_cache(maxsize=4096)
 def _compute_part_bounds(part: ConvexPart, has_offset: bool) -> tuple[Array, Array]:
-    """Return lower and upper corner (m) of Bullet's bounding box of a part, along the axes of the link's frame."""
+    """Return both corners (m) of Bullet's bounding box of a part in the link's frame, as for `_compute_bounds`."""
     points = part.list_extreme_points()
     padding = 0.0
     if part.kind == "hull":

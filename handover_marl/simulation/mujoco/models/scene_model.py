@@ -182,7 +182,7 @@ def _compile(spec: "mujoco.MjSpec", name: str) -> "mujoco.MjModel":
 
 @cached_by_file(32, _read_mtimes)
 def _build_workcell(table_and_panda: tuple[Path, Path], friction: float, config: PhysicsConfig) -> "mujoco.MjSpec":
-    """Build the specification of ground, table and robot, which must not be changed."""
+    """Build the specification of ground, table and robot for an object's `friction`; the result must not be changed."""
     built = SceneModelBuilder(config, friction)
     built.add_workcell(*table_and_panda)
     return built.spec
