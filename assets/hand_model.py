@@ -229,7 +229,7 @@ WRIST_DISTANCE_QUANTILES: Final[MappingProxyType[str, tuple[float, ...]]] = Mapp
 
 @dataclass(frozen=True, eq=False)
 class HumanGrasps:
-    """Grasps of one object by one subject's hand, in the object's frame; all n are sorted by wrist distance.
+    """Grasps of one object by one subject's hand, n in number, in the object's frame.
 
     Attributes:
         object_from_base: (n, 7) poses of the hand's base, xyz (m) and quaternion xyzw.
@@ -269,7 +269,7 @@ class HumanGrasps:
 
 
 def load_human_grasps(object_name: str, subject: int, side: Side) -> HumanGrasps:
-    """Load the grasps of a YCB class, e.g. "025_mug", by the "left" or "right" hand of a synthetic subject, 1 to 10."""
+    """Load the grasps of a YCB class, e.g. "025_mug", by a hand of subject 1 to 10, sorted by wrist distance."""
     data = load_shipped_arrays(GRASPS_FILE)
     at = GRASPED_OBJECTS.index(object_name), SIDES.index(side), subject - 1
     return HumanGrasps(

@@ -69,7 +69,7 @@ def compute_best_of(successes: npt.NDArray[np.bool_], k: int) -> npt.NDArray[np.
 
 
 def play(args: Args, receiver: str, giver: str, folder: str) -> npt.NDArray[np.bool_]:
-    """Return whether each of n draws of a giver succeeds with a receiver in each of s scenes, (s, n)."""
+    """Return whether each of n draws of a giver succeeds in each of s scenes, (s, n); store results in `folder`."""
     scenes = select_scenes_evenly(args.open_dataset().list_scenes(args.setup, args.split), args.n_scenes)
     columns = []
     for seed in range(args.draws):

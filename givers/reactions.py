@@ -20,8 +20,8 @@ from handover_marl.policies.batch import Actions
 class HandoverPoseVariation:
     """Variation of the handover pose in `count` episodes in which the robot does not approach.
 
-    Each time that the gripper has come no nearer to the object, by `min_approach`, for `timeout`, the next of `scales`
-    scales the deviation from the recorded pose; 0 gives the recorded pose.
+    Whenever the gripper has not come nearer to the object by `min_approach` for the time `timeout`, the deviation from
+    the recorded pose is multiplied by the next of `scales`; 0 gives the recorded pose.
 
     Attributes:
         scale: (count,) present factor of each episode.
@@ -46,7 +46,7 @@ class HandoverPoseVariation:
         self._min_distance[row], self._since[row] = math.inf, math.nan
 
     def update(self, rows: AnyIndices, observation: Observation) -> None:
-        """Change `scale` where, among the episodes `rows` (r,), the gripper came no nearer for `timeout`."""
+        """Change `scale` in those of the episodes `rows` (r,) in which the gripper has come no nearer for `timeout`."""
         xp, now, distance = self._xp, widen(observation["time"][:, 0]), compute_gripper_object_distances(observation)
         since, closest = self._since[rows], self._min_distance[rows]
         nearer = xp.isnan(since) | (distance < closest - self.min_approach)

@@ -82,7 +82,7 @@ def main(args: Args) -> Path:
         raise OptionError("scenarios must have reachable grasps, got none that the expert reaches; plan more of them")
 
     def load_states(numbers: list[int], repetition: int, weights: Path | None = None) -> ImitationStates:
-        """Return the states of one rollout of each scenario; run the rollouts that have no file yet."""
+        """Return the states of rollout `repetition` of the scenarios `numbers`; run rollouts that have no file yet."""
 
         def make_collector() -> Callable[[int], ImitationStates]:
             generator = make_generator()

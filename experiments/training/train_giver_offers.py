@@ -166,7 +166,7 @@ class Collector:
         )
 
     def _choose(self, network: DenseNetwork | None, vector: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the features (48,) of an offer, nan without known grasps, and the offer (7,)."""
+        """Choose an offer for a flat observation; return features (48,), nan if no grasp is known, and offer (7,)."""
         count = 1 if network is None else int(self.rng.choice(self.args.candidates))
         # The first offer is the recorded pose, which one choice of many can only be if the network prefers it.
         offers = draw_offers(self.rng, count + 1, self.args.spread)[0 if count > 1 else 1 :]

@@ -88,7 +88,7 @@ def load_views(args: Args, scenes: Sequence[int]) -> list[SegmentationViews]:
 
 
 def train_pixels(args: Args, views: list[SegmentationViews], held_out: list[SegmentationViews], path: Path) -> None:
-    """Train the network to classify pixels, and write it to `path`."""
+    """Train the network to classify pixels, print its metrics on `held_out` views, and write it to `path`."""
     torch.manual_seed(args.seed)
     batches, held_out_batches = (SegmentationBatches(join_samples(part)) for part in (views, held_out))
     learner = SegmentationLearner(SegmentationNetwork(), args.updates, torch.device(args.device))
@@ -100,7 +100,7 @@ def train_pixels(args: Args, views: list[SegmentationViews], held_out: list[Segm
 def train_points(
     args: Args, views: list[SegmentationViews], held_out: list[SegmentationViews], network: SegmentationNetwork
 ) -> None:
-    """Train the network's part for points."""
+    """Train the part of `network` that classifies points, replace it there, and print its metrics on `held_out`."""
     torch.manual_seed(args.seed)
     rng = np.random.default_rng(args.seed)
     clouds, held_out_clouds = (
@@ -118,7 +118,7 @@ def train_points(
 def run_updates(
     learner: ImitationLearner[Any, Any], batches: SegmentationBatches | PointBatches, updates: int, size: int, seed: int
 ) -> None:
-    """Make the gradient updates of a training."""
+    """Update the learner's network `updates` times, each time by `size` samples that `seed` selects."""
     for number in track(range(updates), description="updates"):
         learner.update(batches.sample(size, np.random.default_rng((seed, number))))
 
@@ -129,7 +129,7 @@ def print_shares(what: str, shares: dict[str, float]) -> None:
 
 
 def main(args: Args) -> Path:
-    """Train; return the path of the weights."""
+    """Train both parts of the network; return the path of its weights."""
     args = args.resolve_setup()
     data = args.open_dataset(args.robot)
     free = ("workers", "device", "point_updates", "point_batch_size")

@@ -65,7 +65,7 @@ def load_views(args: Args, run: ImitationRun, dataset: str, scenes: Sequence[int
 
 
 def main(args: Args) -> Path:
-    """Train; return the path of the weights of the best network."""
+    """Train the network, and evaluate the receiver with it; return the path of the best weights."""
     args = args.resolve_setup()
     scenes = args.open_dataset(args.robot).list_scenes(args.setup, "train")[:: args.stride]
     training = {args.dataset: select_training_scenes(scenes)}

@@ -76,7 +76,7 @@ class Args(SetupArgs):
             raise OptionError(f"partner must be left out with method {self.method}, got {self.partner!r}")
 
     def open_folder(self, name: str, free: tuple[str, ...]) -> Path:
-        """Return a folder in `out`, after a check that its policies have the same arguments, except those in `free`."""
+        """Make the folder `name` in `out`, or check that it was made with these arguments except `free`; return it."""
         path = self.out / name
         return open_run_folder(path, self, path.exists(), self.open_dataset().name, free)
 

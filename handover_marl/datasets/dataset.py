@@ -126,8 +126,8 @@ class Dataset(ABC):
         robot: Variant of the Panda.
         source_folder: Folder of the data set, or None if its name suffices to open it again.
         n_scenes: Number of scenes; they are numbered from 0.
-        setups: Names of the setups, the default first. `s0` to `s3` are the official setups, whose splits have
-            official sizes.
+        setups: Names of the setups (ways to divide the scenes into train, val and test), the default first. `s0`
+            to `s3` are HandoverSim's, whose splits have its sizes.
         object_names: Class names of objects by class number: 1-21 the YCB classes, from 22 on others; can be pickled.
         quick_validation: Whether grasps are validated with few simulations, because there are very many classes.
 

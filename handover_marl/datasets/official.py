@@ -62,7 +62,10 @@ def _read_scene_info(path: Path, scene_id: int) -> tuple[SceneInfo, list[int]]:
 
 
 def read_motion(path: Path, shapes: Mapping[str, tuple[int, ...]], advice: str) -> list[npt.NDArray[np.float32]]:
-    """Read float32 arrays (T, *shape) of T frames each from a motion file (`.npz`); `shapes` has the shapes by name."""
+    """Read float32 arrays (T, *shape) of T frames each from a motion file (`.npz`); `shapes` has the shapes by name.
+
+    A damaged file raises `DataFormatError` with `advice` for the user.
+    """
     with report_damage(path, "pose file", advice):
         arrays = [array.astype(np.float32) for array in read_arrays(path, tuple(shapes), MAX_MOTION_BYTES).values()]
         n_frames = len(arrays[0])
@@ -170,7 +173,7 @@ class OfficialDataset(Dataset):
         return require_file(self._assets / object_name / "model_normalized.urdf")
 
     def load_grasps(self, object_name: str) -> npt.NDArray[np.float64] | None:
-        """Load robot grasps of a YCB class: gripper poses (n, 4, 4) in its frame (m), or None if it has none."""
+        """Load robot grasps of a YCB class: gripper poses (n, 4, 4) in the object's frame (m), or None."""
         path = self._find_grasp_file(object_name)
         return None if path is None else self._load_grasps(path)
 

@@ -51,5 +51,5 @@ class _RestrictedUnpickler(pickle.Unpickler):
 
 
 def load_restricted(data: bytes, allowed: AllowedNames = ARRAY_NAMES) -> Any:
-    """Load an untrusted pickle, which can use nothing but the functions and classes in `ARRAY_NAMES` and `allowed`."""
+    """Load an untrusted pickle; raise `UnsafeFileError` if it uses a name that is not in `ARRAY_NAMES` or `allowed`."""
     return _RestrictedUnpickler(data, allowed).load()

@@ -123,7 +123,7 @@ def _make_spaces(obs_mode: str, camera: CameraConfig) -> dict[str, spaces.Space[
 
 
 def resolve_cameras(cameras: Iterable[str | CameraConfig]) -> tuple[CameraConfig, ...]:
-    """Return the configurations of cameras given by name, e.g. "wrist", or as such; equal names raise `OptionError`."""
+    """Return the configurations of cameras; names such as "wrist" are looked up, equal names raise `OptionError`."""
     if isinstance(cameras, str) or not isinstance(cameras, Iterable):
         raise OptionError(
             f'cameras must be a tuple of names and CameraConfigs, got {cameras!r}; e.g. ("wrist", "front")'
@@ -205,7 +205,7 @@ class CameraCapture:
         depth: (h, w) float32 depth along the viewing axis (m); just under 2 m for background.
         segmentation: (h, w) uint8 values of `SegmentationLabel`.
         rgb: (h, w, 3) uint8 colours.
-        object_points: (n, 3) float32 points of the target object in the hand link's frame (m), in image order.
+        object_points: (n, 3) float32 points of the handed-over object in the hand link's frame (m), in image order.
         hand_points: (m, 3) float32 points of the human hand in the hand link's frame (m), in image order.
     """
 
@@ -217,10 +217,10 @@ class CameraCapture:
 
 
 class CameraSensor:
-    """One camera of a simulated world; images are rendered on request, and reused within a step if they show enough.
+    """One camera of a simulated world, whose images are rendered on request and reused within a physics step.
 
-    Draws of noise and points depend on the seed, the number of simulated steps and the image only; draws of the camera
-    depend on the seed, the scene and the camera's name. None depends on earlier images.
+    Noise and subsampling of points depend on the seed, the number of simulated steps and the image only; random changes
+    of the camera depend on the seed, the scene and the camera's name. None depends on earlier images.
 
     Args:
         config: Configuration of the cameras.
@@ -333,7 +333,7 @@ class CameraSensor:
         return moved
 
     def _get_image(self, world: World, steps: int, content: _ImageContent) -> CameraImage:
-        """Return an image after `steps` physics steps with at least a content; reuse the last image if it suffices."""
+        """Return an image after `steps` physics steps with at least `content`; reuse the last one if it suffices."""
         if self._last is not None and self._last[0] == steps and self._last[1] >= content:
             return self._last[2]
         camera, noise, _ = drawn = self._draw_camera()

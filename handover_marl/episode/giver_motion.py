@@ -193,12 +193,7 @@ class GiverMotion:
         self._ahead = arrays.asarray([round(time / TIME_STEP) for time in config.preview], "int64")
 
     def reset(self, row: int, scene: Scene) -> ReferenceMotion:
-        """Start the playback of a scene, and return its first frame as a reference motion of one row.
-
-        Args:
-            row: Index of the giver.
-            scene: Scene to play back.
-        """
+        """Start to play back a scene for the giver with index `row`; return its first frame as a motion of one row."""
         self._recorded.set_scene(row, scene)
         self._last_frame[row], self._pick_up[row] = scene.n_frames - 1, find_pick_up_frame(scene)
         self._wrists_in_base[row] = self._arrays.asarray(find_wrist_in_base(scene))
@@ -220,7 +215,7 @@ class GiverMotion:
         return xp.astype(xp.concat([state.rate[:, None], state.offset.reshape(-1, 6)], axis=1), xp.float32)
 
     def read_previews(self, rows: AnyIndices) -> tuple[AnyArray, AnyArray]:
-        """Return the recorded poses of the givers `rows` (r,) at the k preview times, counted from now.
+        """Return the recorded world poses of the givers `rows` (r,) at the k times ahead in `GiverConfig.preview`.
 
         Returns:
             (r, k, 7) poses of the wrists, zeros without a hand, and (r, k, 7) poses of the target objects: xyz (m)

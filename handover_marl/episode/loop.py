@@ -32,8 +32,8 @@ class PolicyDecision:
     """Actions of both policies for the next physics steps.
 
     Attributes:
-        receiver_action: (9,) action of the receiver that is in effect from now on.
-        giver_action: (8,) action of the giver.
+        receiver_action: (9,) target joint positions in effect from now on, 7 arm (rad) and 2 fingers (m).
+        giver_action: (8,) action of the giver, see `giver_action_space`.
         planning_time: Wall-clock time of the receiver's policy (s), without rendering; 0 if it was not called now.
         receiver_decided: Whether a new action of the receiver takes effect now; otherwise its last action is held.
         giver_decided: Whether the giver's policy acted now; always false for a replayed giver.
@@ -148,7 +148,7 @@ def call_policy(policy: EpisodePolicy, observation: Observation, step: int) -> t
 
 @contextlib.contextmanager
 def _name_policy(policy: EpisodePolicy, when: str, observation: Observation | None = None) -> Iterator[None]:
-    """Convert errors of a policy's own code to a `PolicyError` with the policy's name and `when` it failed."""
+    """Turn errors of a policy's code in a `with` block into a `PolicyError` with its name and `when` it failed."""
     try:
         yield
     except HandoverError:
@@ -319,14 +319,10 @@ def run_episode(
 
 
 def derive_giver_seed(seed: int | None, scene_id: int) -> int:
-    """Derive the seed of a giver: a hash of the run's seed and the scene number.
+    """Derive the seed of a giver: a hash of the run's seed (None is 0) and the scene number.
 
     Only the giver may use this seed. If it also seeded draws that a receiver observes, such as camera noise, the
     receiver could find the scene number by trying all numbers.
-
-    Args:
-        seed: Seed of the run; None is 0.
-        scene_id: Scene number.
     """
     return derive_seed(seed, f"{scene_id} giver")
 
@@ -334,11 +330,8 @@ def derive_giver_seed(seed: int | None, scene_id: int) -> int:
 def derive_robot_seed(seed: int | None, scene: Scene) -> int:
     """Derive the seed of the robot's initial joint positions: a hash of the run's seed and the objects' first poses.
 
-    Receivers observe the joint positions, so their seed depends only on observed values, not on the scene number.
-
-    Args:
-        seed: Seed of the run; None is 0.
-        scene: Scene of the episode.
+    Receivers observe the joint positions; their seed therefore depends on observed values, not on the scene number. A
+    run seed of None is 0.
     """
     return derive_seed(seed, "robot", scene.object_dof[0])
 
@@ -346,11 +339,7 @@ def derive_robot_seed(seed: int | None, scene: Scene) -> int:
 def derive_receiver_seed(seed: int | None, observation: Observation) -> int:
     """Derive the seed of a receiver: a hash of the run's seed and the receiver's first observation.
 
-    The seed differs between scenes. Apart from the run's seed it depends only on what the receiver observes.
-
-    Args:
-        seed: Seed of the run; None is 0.
-        observation: First observation of the receiver.
+    The seed differs between scenes. Apart from the run's seed (None is 0), it depends on the observation only.
     """
     others = observation.get("wrist_other_points")
     if others is not None and not others.any():

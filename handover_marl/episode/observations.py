@@ -149,12 +149,7 @@ def select_receiver_observation(state: Observation, camera: Observation, obs_mod
 
 
 def observe_giver_motion(motion: GiverMotion, rows: AnyIndices) -> Observation:
-    """Return the part of r givers' observations that is not in the state, arrays (r, ...) by key.
-
-    Args:
-        motion: Motion of n givers.
-        rows: Indices (r,) of the givers that observe.
-    """
+    """Return what the givers with indices `rows` (r,) observe beside the state, arrays (r, ...) by key."""
     wrist_poses, object_poses = motion.read_previews(rows)
     holding = motion.holding[rows, None]
     return {

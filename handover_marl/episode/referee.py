@@ -27,7 +27,7 @@ class ReleaseReason(Enum):
     """Reason why the person released the object.
 
     ACTIVE: both fingers touched the object inside their grasp regions for 0.1 s.
-    PASSIVE: the robot touched the object for 0.1 s, but not inside the grasp region of a finger.
+    PASSIVE: the robot touched the object for 0.1 s, with no finger inside its grasp region.
     VOLUNTARY: the giver's action requested the release. HandoverSim has no such release.
     """
 

@@ -23,7 +23,7 @@ GIVER_ACTION_SIZE = 8
 
 
 def parse_obs_mode(obs_mode: str) -> frozenset[str]:
-    """Return a mode's parts, e.g. "state", "rgb", "depth" of "state+rgbd"; raise `UnknownNameError` for others."""
+    """Return a mode's parts: "state", "rgb" and "depth" for "state+rgbd"; raise `UnknownNameError` for unknown ones."""
     if not isinstance(obs_mode, str):
         raise UnknownNameError("part of obs_mode", obs_mode, OBS_PARTS, _JOIN_PARTS)
     parts = frozenset(obs_mode.split("+"))

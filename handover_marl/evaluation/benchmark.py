@@ -228,7 +228,7 @@ def _show_progress(
 
 
 def _check_same_outcome(stored: EpisodeResult | None, current: EpisodeResult) -> None:
-    """Check that an episode, simulated again to record it, ended as in its `stored` result; None skips the check."""
+    """Raise `ResultsError` if `current`, simulated again for a recording, has another outcome than `stored`."""
     before, now = (
         f"{result.status.label} after {result.steps} steps, release at {result.release_step}"
         for result in (stored or current, current)

@@ -232,7 +232,7 @@ def resolve_policies(
 
 
 def read_pairs(folder: Path) -> list[PolicyPair]:
-    """Read the labels (giver, receiver) of all pairs in an output folder of `crossplay` from its table."""
+    """Read the labels (giver, receiver) of all pairs in a folder of `crossplay`; raise `ResultsError` if that fails."""
     path = folder / CROSSPLAY_CSV
     try:
         rows = csv.DictReader(io.StringIO(read_plain_file(path).decode(), newline=""))

@@ -141,7 +141,7 @@ def format_world_label(config: WorldConfig) -> str:
 
 
 def parse_world_label(label: str) -> WorldConfig:
-    """Return the official world and rules with the noise that a label states.
+    """Return the official world and rules with the noise of the initial joint positions that a label states.
 
     Other differences from the official ones cannot be read from a label.
     """

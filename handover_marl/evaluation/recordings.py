@@ -83,7 +83,7 @@ def format_replay_facts(config: EvaluationConfig, models: str) -> str:
 
 
 class ReplayWriter(EpisodeWriter):
-    """Writer of a replay page for each episode, or for each failed episode, in a result folder."""
+    """Writer of replay pages of all episodes (`replays` is "all") or failed ones ("failed") in a result folder."""
 
     def __init__(self, folder: Path, replays: str) -> None:
         super().__init__(folder / REPLAYS)

@@ -67,7 +67,7 @@ class EpisodeResult:
         steps: Physics steps (1 ms) until the end of the episode.
         plan_s: Wall-clock time spent in the receiver's policy (s).
         scene_id: Scene number, or None if unknown (results of HandoverSim's code).
-        release_step: Physics step whose contacts made the giver release the object, or None.
+        release_step: Physics step in which the giver released the object, or None.
         object_name: Class of the object handed over, or None if unknown.
         subject: Person recorded in the scene, or None if unknown.
         side: Hand that gives the object, "right" or "left", or None if unknown.
@@ -270,7 +270,7 @@ def read_results(path: Path, allow_empty: bool = False) -> list[EpisodeResult]:
 
 
 def _check_scenes_differ(results: Sequence[EpisodeResult], path: Path) -> None:
-    """Check that no two results that were read from a path are of the same scene."""
+    """Raise `ResultsError` if two results that were read from a path are of the same scene."""
     for scene, count in Counter(result.scene_id for result in results).items():
         if scene is not None and count > 1:
             raise ResultsError(f"{path}: {count} results are of scene {scene}; delete those that were copied")
@@ -287,7 +287,7 @@ def _check_scalar(name: str, value: Any, kind: type) -> Any:
 
 
 def read_result(path: Path) -> tuple[EpisodeResult, npt.NDArray[Any]]:
-    """Return the result of an episode and the array `action` from its official result file.
+    """Read the result and the array `action` of an official result file; raise `ResultsError` if that fails.
 
     The array is not checked; it should be (T, 9) for T physics steps, and is empty if the file has none.
     """
@@ -354,7 +354,7 @@ def format_episode_file(metadata: ResultMetadata, episodes: Iterable[EpisodeResu
 
 
 def read_episode_file(path: Path) -> tuple[ResultMetadata, list[EpisodeResult]]:
-    """Read an episode file: the identity of the evaluation, and its results ordered by index."""
+    """Read an evaluation's identity and results, ordered by index, from an episode file, or raise `ResultsError`."""
     try:
         content = json.loads(read_plain_file(path, _MAX_BYTES))
         content["metadata"].pop("shard", None)  # older files have it

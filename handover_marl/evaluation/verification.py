@@ -57,7 +57,7 @@ _TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class Difference:
-    """Value of a result folder, named `key`, that differs from the simulated or computed one; both are texts.
+    """Value of a result folder, named `key`, whose `stored` text differs from the simulated one, `expected`.
 
     The scene number is None for a value of the folder's reports and policies.
     """
@@ -214,7 +214,7 @@ def verify(
 
 
 def check_episode(runner: EpisodeRunner, folder: Path, same_version: bool, task: SceneTask) -> list[Difference]:
-    """Simulate a scene with its stored actions; return values that differ from its result, or its damaged file."""
+    """Simulate a scene with its stored actions; return the differences from its result, or one for a damaged file."""
     file = get_result_path(folder, task.index)
     try:
         stored, actions = read_result(file)
@@ -331,7 +331,7 @@ class StoredActions:
 
 
 def check_actions(path: Path, actions: npt.NDArray[Any], n_steps: int) -> Actions:
-    """Return actions (T, 9) of a result file as float32, checked to be finite and one for each of `n_steps` steps."""
+    """Return actions (T, 9) of the file `path` as float32; raise `ResultsError` unless finite and T is `n_steps`."""
     if actions.shape != (n_steps, PANDA_DOF) or actions.dtype.kind != "f" or not np.isfinite(actions).all():
         raise ResultsError(
             f"{path}: action must be finite float32 of shape ({n_steps}, {PANDA_DOF}), got {actions.dtype} "

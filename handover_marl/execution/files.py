@@ -42,11 +42,7 @@ def create_exclusively(path: Path, content: bytes | str) -> None:
 
 
 def remove_stale_temporaries(folder: Path) -> None:
-    """Remove temporary files that are older than a day, because their writers were killed.
-
-    Args:
-        folder: Folder of the temporary files; it need not exist.
-    """
+    """Remove temporary files older than a day, whose writers were killed, from a folder, which need not exist."""
     for path in folder.glob(".*.part"):
         with contextlib.suppress(OSError):
             if time.time() - path.lstat().st_mtime > _STALE_S:

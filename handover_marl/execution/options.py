@@ -87,7 +87,7 @@ class PoolConfig:
 
 
 def check_path(name: str, path: object) -> Path:
-    """Check that an option is a path, and return it with `~` expanded."""
+    """Return a path with `~` expanded; raise `OptionError` if the value of the option `name` is no path."""
     try:
         text = os.fsdecode(path)  # type: ignore[arg-type]
         if not text or "\0" in text:
@@ -100,14 +100,14 @@ def check_path(name: str, path: object) -> Path:
 
 
 def check_positive_integer(name: str, value: object) -> int:
-    """Check that an option is an integer of at least 1, and return it as int."""
+    """Return a value as int; raise `OptionError` if the option `name` is not an integer of at least 1."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
         raise OptionError(f"{name} must be an integer of at least 1, got {value!r}")
     return int(value)
 
 
 def check_boolean(name: str, value: object) -> None:
-    """Check that an option is True or False; text such as "no" would count as true."""
+    """Raise `OptionError` unless an option is True or False; text such as "no" would count as true."""
     if not isinstance(value, bool):
         raise OptionError(f"{name} must be True or False, got {value!r}")
 

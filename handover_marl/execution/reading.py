@@ -129,9 +129,8 @@ class _LoaderWithoutAliases(yaml.SafeLoader):
 def report_damage(path: Path, what: str, advice: str) -> Iterator[None]:
     """Turn exceptions in a `with` block that reads a file into errors of the library.
 
-    The errors name the file, what it is (`what`), and what the user can do (`advice`).
-
-    Readers of damaged files raise exceptions of many types. Errors that already name the file are not changed.
+    The errors name the file, what it is (`what`), and what the user can do (`advice`). Errors that already name the
+    file are not changed.
     """
     try:
         yield

@@ -101,7 +101,7 @@ class ArmKinematics:
         )
 
     def compute_jacobian(self, chain: LinkFrames) -> Array:
-        """Compute base-frame Jacobians (6, 7, n), linear rows (m/rad) first, of the hand link from its chain frames."""
+        """Compute base-frame Jacobians (6, 7, n) of the hand link, linear rows (m/rad) first, from link frames."""
         axes = chain.rotations[:-1, :, 2]
         levers = chain.origins[-1] - chain.origins[:-1]
         columns = np.concatenate([np.cross(axes, levers, axis=1), axes], axis=1)
@@ -177,12 +177,12 @@ def solve_damped(jacobians: AnyArray, twists: AnyArray, damping: float | AnyArra
 
 
 def _combine(weights: Array, vectors: AnyArray) -> AnyArray:
-    """Return the sum (3, n) of three arrays of vectors, `vectors` (3, 3, n), each times one of three weights (3,)."""
+    """Return the sum over i of weights[i] * vectors[i], (3, n), for weights (3,) and vectors (3, 3, n)."""
     return weights[0] * vectors[0] + weights[1] * vectors[1] + weights[2] * vectors[2]
 
 
 def transform_body_points(frames: LinkFrames, on_links: Sequence[Array]) -> Array:
-    """Transform m points (m, 3) on each of L links, in the link's frame, to base-frame points (3, L * m, n) (m)."""
+    """Return base-frame points (3, L * k, n) in m of k points (k, 3) on each of L links, given in the link's frame."""
     moved = [
         points @ rotation + origin[:, None]
         for points, origin, rotation in zip(on_links, frames.origins, frames.rotations, strict=True)

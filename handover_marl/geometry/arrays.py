@@ -103,8 +103,7 @@ def stack_last(parts: Sequence[AnyArray]) -> AnyArray:
 def use_default_torch_settings() -> Iterator[None]:
     """Compute with PyTorch's initial settings in a `with` block: float32 in full precision, on the CPU, no autocast.
 
-    Results then do not depend on what the program has set. The settings belong to the process, so that other threads
-    of the program see them meanwhile.
+    Results then do not depend on what the program has set. The settings are global: other threads get them too.
     """
     import torch
 
@@ -172,7 +171,7 @@ class ArrayFactory:
         return self.xp.arange(count, dtype=self.xp.int64, device=self.device)
 
     def asarray(self, values: Any, dtype: str | None = None) -> AnyArray:
-        """Return values as an array of a number type, by default theirs; tensors share no memory with NumPy arrays."""
+        """Return values as an array of the number type `dtype`, or else their own; tensors copy NumPy arrays."""
         own = values if is_tensor(values) else np.asarray(values)
         is_copied = None if is_tensor(own) or self.xp is np else True
         number_type = None if dtype is None else self._get_dtype(dtype)
@@ -198,7 +197,7 @@ def make_tensor_factory(device: Any) -> ArrayFactory:
 
 
 class RowBank:
-    """Array of rows of one shape that grows: its capacity is doubled whenever it is full.
+    """Array of rows of one shape that grows: its capacity is at least doubled whenever it is full.
 
     Args:
         arrays: Creator of the array.

@@ -179,7 +179,7 @@ def compute_tree_frames(
 
 @cached_by_file(maxsize=None)
 def read_tree(urdf: Path) -> KinematicTree:
-    """Read the kinematic tree of a URDF file, once while it is unchanged; raise `SimulationError` if this fails."""
+    """Read the kinematic tree of a URDF file, cached until the file changes; raise `SimulationError` if this fails."""
     try:
         return KinematicTree(_read_joints(parse_urdf(urdf)))
     except (OSError, ValueError, KeyError, AttributeError) as error:
@@ -270,7 +270,6 @@ class TreeBank:
         """
         xp = self._arrays.xp
         constants = TreeConstants(*(bank.rows[numbers][:, None] for bank in self._constants))
-        # Fixed joints read the zero that is appended.
         values = xp.concat([joints, xp.zeros_like(joints[..., :1])], axis=-1)[..., self._columns]
         return compute_tree_frames(constants, self._levels, values)
 

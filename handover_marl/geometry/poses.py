@@ -65,7 +65,7 @@ def inverse_transform_points(a_from_b: AnyArray, points: AnyArray) -> AnyArray:
 
 
 def compute_pose_distances(pose: npt.ArrayLike, poses: Array, rotation_weight: float) -> Array:
-    """Compute distances (..., n) in m^2 from poses (..., n, 7) to poses (..., 7), for the ranking of grasps.
+    """Compute distances (..., n) in m^2 between `pose` (..., 7) and each of `poses` (..., n, 7), to rank grasps.
 
     A distance is the squared distance of the positions plus `rotation_weight` (m^2) times 1 - (p . q)^2, where p
     and q are the quaternions.

@@ -104,7 +104,7 @@ class AdaptiveGiver(ArrayGiver):
         return self._scheme.compute_actions(rows, observation)
 
     def _choose(self, rng: np.random.Generator, observation: Observation) -> Vectors:
-        """Return the best (7,) of many random offers for an observation (1, ...); the first without known grasps."""
+        """Return the best (7,) of many random offers for an observation (1, ...), or the first if no grasp is known."""
         offers = draw_offers(rng, self.config.offers, self.config.spread)
         features, number = self._features(observation, offers), 0
         if features is not None:

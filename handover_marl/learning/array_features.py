@@ -301,7 +301,7 @@ class StackedFeatures(GraspProximityFeatures):
         self._stacks[row], self._times[row] = 0.0, -1.0
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return features (r, N_STACKED * 12) of the episodes `rows`; calls at one time are one decision."""
+        """Return features (r, N_STACKED * 12) of the episodes `rows`; calls at the same time count as one decision."""
         times = widen(observation["time"][:, 0])
         later = rows[times != self._times[rows]]
         self._stacks[later, 1:] = self._stacks[later, :-1]

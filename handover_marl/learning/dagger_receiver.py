@@ -1,4 +1,4 @@
-"""Receiver whose network moves the gripper without a script."""
+"""Receiver whose network controls the whole motion of the gripper, without a scripted approach."""
 
 from pathlib import Path
 
@@ -13,8 +13,8 @@ _SHIPPED = Path(handover_marl.receivers.__file__).parent / "policies" / "dagger.
 class DaggerReceiver(FunctionPolicy):
     """Receiver whose network moves the gripper, opens it and closes it at every decision.
 
-    The network was trained by DAgger (Ross, Gordon and Bagnell, AISTATS 2011) to act as a policy with a scripted
-    approach to the grasp, see `experiments/training/train_receiver_dagger.py`.
+    The network was trained by DAgger (Ross, Gordon and Bagnell, AISTATS 2011) to imitate a policy whose approach to
+    the grasp is scripted, see `experiments/training/train_receiver_dagger.py`.
 
     Args:
         context: Robot, task and known grasps of the objects.

@@ -81,7 +81,7 @@ class HandoverPoseScheme(ArrayScheme):
         self.pose_variation.reset(row)
 
     def needs_outputs(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return (r,) whether to decide: no outputs yet, and the hand with the object stops soon or it is late."""
+        """Return (r,) whether to decide: once, when the hand with the object stops soon, or at `latest_decision_s`."""
         xp, coming = self._arrays.xp, observation["replay_wrist_poses"][:, 2:, :3]
         moves = xp.astype(xp.max(xp.abs(coming - coming[:, -1:]), axis=(1, 2)), xp.float64)
         is_arriving = moves < self.arrival_tolerance

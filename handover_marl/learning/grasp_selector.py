@@ -99,9 +99,9 @@ class GraspCosts:
         return costs + self.unreachable_cost * widen(distances > self.reach_tolerance)
 
     def compute_clearances(self, poses: AnyArray, joints: AnyArray) -> AnyArray:
-        """Return the distances (r, k) in m, at most MAX_CLEARANCE, of fingers from the gripper on its way to k grasps.
+        """Return distances (r, k) in m of human hands from the gripper on its way to k grasps, up to MAX_CLEARANCE.
 
-        Grasps (r, k, 7) and the joints (r, 16, 3) of the hands are in the objects' frames.
+        Grasps `poses` (r, k, 7) and positions `joints` (r, 16, 3) of the hands' joints are in the objects' frames.
         """
         xp = self._xp
         points = inverse_transform_points(poses[:, :, None], joints[:, None])
@@ -254,7 +254,7 @@ class LowestCostGraspSelector:
         return poses[place, best], clearances[place, best]
 
     def _compute_reach_costs(self, grasps: AnyArray, objects: AnyArray, robots: AnyArray) -> AnyArray:
-        """Return the costs (m,) of the reach of grasps (m, 7) of objects (m, 7) for robots with joints (m, 9)."""
+        """Return reach costs (k,) in m of one grasp (k, 7) on each of k objects (k, 7), for robot joints (k, 9)."""
         distances = self._costs.compute_reach_distances(compose(objects, grasps)[:, None], robots)
         return self._costs.compute_reach_costs(distances)[:, 0]
 

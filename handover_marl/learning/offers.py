@@ -35,7 +35,7 @@ _NUMBERS_OF_GRASPS, _N_BEST = (1, 4, 16, 64), 4
 
 
 def draw_offers(rng: np.random.Generator, count: int, spread: float) -> Vectors:
-    """Draw `count` random offers (count, 7) in [-1, 1], float32; the first one is the recorded handover pose.
+    """Draw `count` random offers (count, 7) in [-1, 1], float32; the first one has the recorded handover pose.
 
     Args:
         rng: Random generator.
@@ -48,7 +48,7 @@ def draw_offers(rng: np.random.Generator, count: int, spread: float) -> Vectors:
 
 
 def compute_offered_poses(observation: Observation, offers: Vectors) -> Array:
-    """Return the world poses (k, 7) of the object at k offers (k, 7) in the episode of an observation (1, ...)."""
+    """Return world poses (k, 7; xyzw) of the object at k offers (k, 7) in the episode of an observation (1, ...)."""
     origins, frames = compute_handover_frames(observation)
     shifts = rotate_to_world(frames, widen(offers[:, :3]) * HandoverPoseScheme.max_output_translation)
     turns = rotate_to_world(frames, widen(offers[:, 3:6]) * HandoverPoseScheme.max_output_rotation)
@@ -161,7 +161,7 @@ def compute_offer_scores(outputs: AnyArray) -> AnyArray:
 
 @functools.lru_cache(maxsize=1024)
 def _load_known_grasps(context: PolicyContext, object_class: int) -> tuple[Array, Array] | None:
-    """Return a class's known grasps and their half turns (n, 7) in its frame, and zeros (n,) as hold costs, or None."""
+    """Return grasps like `load_validated_grasps`: the known ones, without tilted copies, with hold costs of zero."""
     poses = load_hand_poses(context.load_grasps, context.object_names[object_class])
     if poses is None:
         return None

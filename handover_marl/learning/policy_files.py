@@ -46,7 +46,7 @@ def read_policy(path: Path, agent: str, trust: bool = False, **given: Any) -> tu
     """Read a policy file, without running code; raise DataNotFoundError or DataFormatError if that fails.
 
     Args:
-        path: Policy file.
+        path: Policy file; another suffix than .npz raises OptionError.
         agent: Agent that the policy must control, "giver" or "receiver".
         trust: Whether modules that the file names may be imported; else such a file raises UnsafeFileError.
         **given: Fields of `PolicySpec` that replace the fields in the file; None keeps a field, see `complete_spec`.

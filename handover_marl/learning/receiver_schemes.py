@@ -234,7 +234,7 @@ class GraspServoScheme(HandMotionScheme):
     def _find_targets(
         self, rows: AnyArray, observation: Observation, gripper: AnyArray, present: AnyArray
     ) -> tuple[AnyArray, AnyArray]:
-        """Return target positions (r, 3) in m and quaternions xyzw (r, 4) in the world, before outputs correct them.
+        """Return world positions (r, 3) in m and quaternions xyzw (r, 4) of targets that outputs have not corrected.
 
         Hand links have the world poses `gripper` (r, 7), whose normalized quaternions are `present` (r, 4).
         """

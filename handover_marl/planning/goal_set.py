@@ -167,7 +167,7 @@ class GoalSetBuilder:
         return self._remove_similar_goals(goals)
 
     def _compute_clearances(self, tails: Array, person: Obstacle) -> Array:
-        """Return the smallest distances (g,) in m between gripper and the person's hand over each tail (g, t, 7)."""
+        """Return the smallest distances (g,) in m between gripper and the person's hand over the joints (g, t, 7)."""
         frames = self._arm.compute_link_frames(tails.reshape(-1, tails.shape[-1]))
         hand = len(frames.origins) - len(self._gripper)
         points = transform_body_points(LinkFrames(frames.origins[hand:], frames.rotations[hand:]), self._gripper)
@@ -176,7 +176,7 @@ class GoalSetBuilder:
         return np.asarray(by_point.min(axis=(0, 2)).astype(np.float64))
 
     def _solve_tails(self, grasps: Array) -> GoalSet:
-        """Return a goal for each grasp (n, 7) and IK seed from which IK solves the whole tail without a jump."""
+        """Return a goal for each pair of grasp (n, 7) and IK seed for which IK solves all of the approach smoothly."""
         seeds = np.array([self._start, *_IK_SEEDS])
         numbers = np.repeat(np.arange(len(grasps)), len(seeds))
         joints, solved = self._solve(self._tail_poses(grasps, 0), numbers, np.tile(seeds, (len(grasps), 1)))
@@ -190,12 +190,12 @@ class GoalSetBuilder:
         return GoalSet(tails[is_short], numbers[is_short], np.full(int(is_short.sum()), np.inf))
 
     def _tail_poses(self, grasps: Array, step: int) -> Array:
-        """Return the hand link poses (n, 7) at one step of the tails, from 0 (standoff) to `N_TAIL` - 1 (grasp)."""
+        """Return the hand poses (n, 7) in one step of the approaches, from 0 (standoff) to `N_TAIL` - 1 (grasp)."""
         back = _STANDOFF / N_TAIL * (N_TAIL - 1 - step)
         return np.asarray(compose(grasps, np.array([0.0, 0.0, -back, 0.0, 0.0, 0.0, 1.0])))
 
     def _solve(self, poses: Array, numbers: npt.NDArray[np.int_], seeds: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
-        """Solve IK for poses (n, 7)[`numbers` (k,)] from seeds (k, 7); return joints (k, 7) and success (k,)."""
+        """Solve IK for poses (n, 7) with indices `numbers` (k,) from seeds (k, 7); return joints (k, 7) and success."""
         rotations = Rotation.from_quat(poses[:, 3:]).as_matrix()
         targets = poses[numbers, :3], rotations[numbers]
         return solve_ik(self._arm, *targets, seeds, self._limits, _TOLERANCE, _MAX_ITERATIONS)
@@ -215,7 +215,7 @@ class GoalSetBuilder:
         )
 
     def _keeps_orientation(self, goals: Array) -> npt.NDArray[np.bool_]:
-        """Return a mask (g,) of the goals (g, 7) whose straight joint path roughly keeps the hand's orientation."""
+        """Return a mask (g,) of the goals (g, 7) on whose straight joint path the hand neither turns far nor tips."""
         shares = np.arange(1, _N_PATH_CHECKS + 1) / (_N_PATH_CHECKS + 1)
         line = self._start + shares[:, None, None] * (goals - self._start)
         rotations = self._arm.compute_chain_frames(line.reshape(-1, 7)).rotations[-1]
@@ -259,8 +259,8 @@ class GoalSelector:
         goals: (g, 7) goal configurations (rad).
         goal_costs: (g,) cost of each goal in addition to the cost of the path to it.
         n_waypoints: Number of waypoints of a trajectory.
-        unchecked_last: Whether obstacles without `in_tail` have no cost on the last goal's tail only, instead of on all
-            tails; an error in the authors' code.
+        unchecked_last: Whether only the last goal's final approach is free of the cost of objects, instead of every
+            final approach: an error in the authors' code.
     """
 
     def __init__(

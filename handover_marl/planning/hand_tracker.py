@@ -58,7 +58,7 @@ def hand_capsules_from_observation(observation: Observation) -> Capsules | None:
     """Return capsules in the world that approximate the person's hand, or None if there is no hand.
 
     Fingertips are not observed. The last bone of each finger gets the direction of the bone before
-    it, rotated by the last joint, and 0.9 of that bone's length.
+    it, rotated by the last joint, and 0.9 times the length of the bone before.
     """
     if not observation["hand_present"][0]:
         return None
@@ -116,7 +116,6 @@ class HandTracker:
             measured = (points - self.points).mean(axis=0) / step
             self.velocity = kept * self.velocity + (1.0 - kept) * measured
         self._time, self.points = time, points
-        # Spheres are evenly spaced along the axis of each capsule.
         shares = np.linspace(0.0, 1.0, _SPHERES_PER_CAPSULE)[:, None, None]
         fingers = (capsules.starts + shares * (capsules.ends - capsules.starts)).reshape(-1, 3)
         across = points[_INDEX] - points[_LITTLE]
@@ -126,7 +125,7 @@ class HandTracker:
         self.spheres = Spheres(np.concatenate([fingers, heel]), radii)
 
     def predict_attached_pose(self, points: Array, pose: Array, ahead: float) -> Array:
-        """Return the world pose (7,), a time `ahead` (s) from now, of a frame that is fixed to the person's hand.
+        """Return the world pose (7,; xyzw), `ahead` seconds from now, of a frame that is fixed to the person's hand.
 
         `pose` (7,) is the frame's pose at an earlier time, and `points` (k, 3) are the `reference_points` of that time.
         The frame moves with the hand until now, and then at the hand's velocity; without a hand it stays at `pose`.

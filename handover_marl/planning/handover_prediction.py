@@ -137,7 +137,7 @@ class HandoverPosePredictor:
         return np.concatenate([position, self._rotated(config.rotation_horizon * self.angular_velocity)])
 
     def extrapolate_pose(self, ahead: float) -> Array:
-        """Return the object's world pose (7,) (quaternion xyzw) after a short time (s) at its latest velocity."""
+        """Return the object's world pose (7,) (quaternion xyzw) after a time `ahead` (s) at its latest velocity."""
         position = self._pose[:3] + ahead * self.latest_velocity
         return np.concatenate([position, self._rotated(ahead * self.latest_angular_velocity)])
 
@@ -152,5 +152,5 @@ class HandoverPosePredictor:
         return velocity + np.cross(angular, point - self._pose[:3]), angular
 
     def _rotated(self, rotation: Array) -> Array:
-        """Return the object's orientation, quaternion xyzw, after a rotation vector (3,) in the world frame (rad)."""
+        """Return the object's orientation (quaternion xyzw), rotated by a rotation vector (3,) in the world (rad)."""
         return np.asarray((Rotation.from_rotvec(rotation) * Rotation.from_quat(self._pose[3:])).as_quat())

@@ -198,7 +198,7 @@ class Chomp:
         return float(0.5 * (steps**2).sum())
 
     def step(self, trajectory: Array, tail: Array, number: int) -> Array:
-        """Return the trajectory (w, 7) after gradient step `number`, from 1; its end is moved to the `tail` (t, 7)."""
+        """Return the trajectory (w, 7) after gradient step `number`, from 1; its last t rows move to `tail` (t, 7)."""
         smooth = self._metric @ trajectory + self._start_gradient[:, None] * self._start
         near = _OBSTACLE_WEIGHT * self._cost.compute_gradient(trajectory, self._start, tail[-1])
         near = np.clip(near, -_MAX_GRADIENT, _MAX_GRADIENT)

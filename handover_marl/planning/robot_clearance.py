@@ -117,7 +117,7 @@ def compute_gripper_corners(hands: Array) -> Array:
 
 
 def compute_flange_clearances(hands: Array, spheres: Spheres) -> Array:
-    """Return signed clearances (n,) in m of the flange from a body; see `compute_open_gripper_clearances`."""
+    """Return clearances (n,) in m, negative on overlap, of a body to the robot's flange at hand link poses (n, 7)."""
     local = _points_in_hands(hands, spheres.centers) - GRIPPER_BOX_CENTERS[_FLANGE]
     return np.asarray((compute_box_distances(local, GRIPPER_BOX_HALF_SIZES[_FLANGE]) - spheres.radii).min(axis=1))
 

@@ -46,7 +46,7 @@ class Obstacle:
         field: Signed distance field of the obstacle.
         base_from_field: (7,) pose (quaternion xyzw) of the field's frame in the robot's base frame.
         padding: Distance from the surface up to which the obstacle has a cost (m).
-        in_tail: Whether the obstacle also has a cost in the final approach to a grasp; false for the grasped object.
+        in_tail: Whether the obstacle also has a cost in the final approach to a grasp (tail); false for objects.
     """
 
     field: DistanceField
@@ -74,7 +74,7 @@ class Obstacle:
 
 
 def compute_proximity_cost(distances: Floats, padding: float) -> Floats:
-    """Return the CHOMP cost of points at signed distances from an obstacle (m).
+    """Return the CHOMP costs (...) of points at signed distances (...) in m from an obstacle.
 
     The cost is 0 beyond `padding`, quadratic between `padding` and the surface, and linear inside the obstacle.
     """
@@ -85,7 +85,7 @@ def compute_proximity_cost(distances: Floats, padding: float) -> Floats:
 
 
 def compute_proximity_gradient(distances: Floats, padding: float) -> Floats:
-    """Return the derivative of `compute_proximity_cost` with respect to the distance."""
+    """Return the derivatives (...) of `compute_proximity_cost` with respect to the distances (...)."""
     linear = (distances - padding) / padding
     outside = np.where(distances <= padding, linear, 0.0)
     gradient: Floats = np.where(distances <= 0.0, -1.0, outside)
@@ -112,7 +112,7 @@ class ObstacleCost:
         """Return the obstacle costs (g,) of straight joint paths from one start (7,) to goals (g, 7).
 
         The cost of a path is the sum of proximity cost times workspace speed over all body points, at `count` waypoints
-        between start and goal; at waypoints in the mask `tails` (g, count), only obstacles with `in_tail` count.
+        between start and goal; at waypoints in the mask `tails` (g, count), only `Obstacle`s with `in_tail` count.
         """
         shares = np.arange(count + 1) / (count + 1)
         line = start + shares[:, None, None] * (goals - start)

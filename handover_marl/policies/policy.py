@@ -246,7 +246,7 @@ def make_giver_action(
         release: Whether to release the object.
 
     Raises:
-        ActionError: Displacement or rotation are not three finite numbers, or so large that their unit is wrong.
+        ActionError: A value has not the stated number of finite numbers, or is so large that its unit is wrong.
     """
     move = check_vector("displacement", displacement, 3, "a set-point (m)")
     turn = check_vector("rotation", rotation, 3, "a rotation vector (rad)")
@@ -291,7 +291,7 @@ def check_policy_class(agent: str, policy_class: Any, name: str) -> None:
 
 
 def check_policy_options(agent: str, policy_class: type, name: str, options: Iterable[str]) -> None:
-    """Check that a policy class has constructor parameters called `options`; agent and name are for errors."""
+    """Raise `OptionError` unless a policy class's constructor has all `options`; `agent`, `name`: for the message."""
     parameters = get_parameters(policy_class)
     any_name = {key for key, parameter in parameters.items() if parameter.kind is parameter.VAR_KEYWORD}
     valid = [key for key in parameters if key not in (*_RESERVED_PARAMETERS, *any_name)]

@@ -187,7 +187,7 @@ class PopulationPolicy(Policy):
     data are left out, since all members have the observations of this policy, the state.
 
     Args:
-        context: Robot and task, for the members.
+        context: Context from which the members are constructed.
         population: Name of a shipped population, or path of a file; see `handover_marl.policies.populations`.
         partners: Families to draw from: "train", "test" or "all".
         trust: Whether modules that the population or its policy files name may be imported.

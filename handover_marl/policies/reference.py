@@ -98,12 +98,12 @@ class PolicyReference:
     def make(
         self, dataset: Dataset | None = None, config: WorldConfig = OFFICIAL_CONFIG, setup: str | None = None
     ) -> Policy:
-        """Construct the policy that this reference names; raise PolicyError if its constructor fails.
+        """Construct the policy that this reference names; raise PolicyError if the policy's constructor fails.
 
         Args:
             dataset: Robot model, objects and grasps for the policy; default: `open_dataset()`.
             config: World and rules for the policy.
-            setup: Setup that is played; default: the first of the dataset.
+            setup: Setup of the scenes; default: the first of the dataset.
         """
         return self.make_from_context(make_policy_context(dataset or open_dataset(), config, setup))
 
@@ -135,7 +135,7 @@ class PolicyReference:
         Args:
             dataset: Robot model, objects and grasps for the policy.
             config: World and rules for the policy.
-            setup: Setup that is played; default: the first of the dataset.
+            setup: Setup of the scenes; default: the first of the dataset.
         """
         policy = self.make(dataset, config, setup)
         try:

@@ -53,7 +53,7 @@ from handover_marl.geometry.ycb import CLASS_NAMES, LARGEST_YCB_CLASS
 
 
 class CustomSceneFolder:
-    """Folder of custom scenes, created if it does not exist; its methods add objects, motions and splits.
+    """Folder of custom scenes, created when the first object or motion is added; its methods also add splits.
 
     Every method checks its arguments first and writes the folder last, so that an error leaves the folder unchanged.
 

@@ -6,7 +6,7 @@ The motion of scene N is in `motion/00000N.npz`, in the world frame at 1 kHz:
   first.
 - `hand_dof` (T, 51): position (m) and Euler angles (rad) of the hand's base, then 45 finger joint angles (rad);
   zeros without a hand.
-- `hand_span` (2,): first and last frame in which the hand is present; -1 and -1 without a hand.
+- `hand_span` (2,): first and last row of `hand_dof` in which the hand is present; -1 and -1 without a hand.
 """
 
 import hashlib
@@ -37,7 +37,7 @@ _ADVICE = "copy the folder again, or add its object or motion again"
 
 
 def get_motion_path(folder: Path, scene_id: int) -> Path:
-    """Return the path of a scene's motion in a folder of custom scenes."""
+    """Return the path of a scene's motion file in a folder of custom scenes."""
     return folder / MOTION_FOLDER / f"{scene_id:06d}.npz"
 
 
@@ -62,7 +62,12 @@ class CustomDataset(Dataset):
         self._read_grasps = lru_cache(maxsize=None)(self._load_grasps)
 
     def list_scenes(self, setup: str | None, split: str) -> tuple[int, ...]:
-        """Return a split's scene numbers; an empty split raises `UnknownNameError`, no scenes `DataNotFoundError`."""
+        """Return the scene numbers of a split in ascending order.
+
+        Raises:
+            UnknownNameError: The setup or the split does not exist, or the split is empty.
+            DataNotFoundError: The folder has no scenes.
+        """
         check_name("split", split, SPLITS)
         setup = self.resolve_setup(setup)
         if not self.n_scenes:
@@ -102,7 +107,7 @@ class CustomDataset(Dataset):
         return require_file(self.folder / OBJECT_FOLDER / object_name / URDF_NAME, _ADVICE)
 
     def load_grasps(self, object_name: str) -> Array | None:
-        """Load robot grasps of an object class: gripper poses (n, 4, 4) in its frame (m), or None if there are none."""
+        """Load robot grasps of an object class: gripper poses (n, 4, 4) in the object's frame (m), or None."""
         if object_name in CLASS_NAMES.values():
             return super().load_grasps(object_name)
         return self._read_grasps(object_name)

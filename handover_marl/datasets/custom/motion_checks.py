@@ -38,7 +38,7 @@ def check_objects(objects: Float32, bodies: Mapping[str, Array]) -> None:
     """Raise `DataFormatError` if the objects' motion has a wrong duration, jumps, is far away, or is below the table.
 
     `objects` (T, n, 6) has positions (m) and intrinsic XYZ Euler angles (rad) in the world at 1 kHz. `bodies` has the
-    vertices (v, 3) of the n objects in their own frames (m) by name, the handed-over object first.
+    n objects' vertices (v, 3) in their own frames (m) by name, the handed-over one first; it must end in robot reach.
     """
     low, high = DURATION
     if not low <= (len(objects) - 1) / 1000.0 <= high + 1e-3:
@@ -61,8 +61,8 @@ def check_motion(
 ) -> None:
     """Raise `DataFormatError` if the motion of the objects (see `check_objects`) or of the hand is faulty.
 
-    The first object must start on something or in the hand. The hand (T, 51), as `Scene.hand_dof`, must come near it
-    and neither jump nor bend fingers too far; it is there from frame `first` to `last`, which are None without a hand.
+    The handed-over object must start on the table, on another object or in the hand. In frames `first` to `last` (None
+    without a hand), `hand` (T, 51), see `Scene.hand_dof`, must come near the object, not jump and not bend too far.
     """
     check_objects(objects, bodies)
     vertices, *others = (

@@ -81,7 +81,7 @@ class CustomScene:
     Attributes:
         name: `<subject>/<recording>`.
         side: Hand of the giver, "right" or "left".
-        hand: Number of the shipped hand, 1 to 10, or None for a scene without a hand.
+        hand: Number of the library's hand model, 1 to 10, or None for a scene without a hand.
         objects: Class names of the objects, the handed-over one first.
         repairs: Changes that were made to the user's motion.
     """
@@ -118,8 +118,8 @@ class SceneFile:
     Attributes:
         name: Name of the data set in results.
         objects: The user's object classes.
-        scenes: Scenes; the number of a scene is its position.
-        setups: Scene numbers of each split of each setup, by setup and split.
+        scenes: Scenes; the number of a scene is its index.
+        setups: Scene numbers by setup (way to divide the scenes) and split (train, val or test).
     """
 
     name: str

@@ -258,7 +258,7 @@ def write_stand_ins(models: Path, assets: Path, workers: int, progress: bool) ->
 
 
 def _write_convex_parts(assets: Path, name: str) -> str:
-    """Write the convex parts of an object's mesh by CoACD, one OBJ object per part; return an error message or ""."""
+    """Cut an object class's mesh into convex parts by CoACD and write them as OBJ; return an error message or ""."""
     model = assets / name / _VISUAL_FILES[0]
     try:
         mesh = read_obj(model)

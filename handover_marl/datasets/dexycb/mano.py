@@ -86,7 +86,7 @@ class ManoModel:
 
 
 def read_mano_model(path: Path, side: str) -> ManoModel:
-    """Read the hand model of a `side`, MANO_*.pkl; raise `DataNotFoundError` or `DataFormatError` if that fails."""
+    """Read MANO's model of one hand from its file; raise `DataNotFoundError` or `DataFormatError` if that fails."""
     with report_damage(path, "MANO model", "copy it from mano_v1_2.zip, which MANO's site has for registered users"):
         content = load_restricted(read_plain_file(path), _ALLOWED)
         return ManoModel(side, *(_extract_array(key, content[key]) for key in _SHAPES))
@@ -116,7 +116,7 @@ _ALLOWED: AllowedNames = {
 
 
 def _extract_array(key: str, value: Any) -> npt.NDArray[Any]:
-    """Return the array of a key of a model file as a read-only NumPy array; raise `ValueError` if it is malformed."""
+    """Return the value of `key` in a model file as a read-only NumPy array; raise `ValueError` if it is malformed."""
     array = _evaluate(value)
     if array.shape != _SHAPES[key]:
         raise ValueError(f"{key} must have shape {_SHAPES[key]}, found {array.shape}")

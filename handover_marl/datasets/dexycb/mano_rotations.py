@@ -143,7 +143,7 @@ def _map_libm(function: Callable[..., float], *columns: Float64) -> Float64:
 
 
 class TagFrame:
-    """Transform from DexYCB's world frame to the frame of the AprilTag on the table; `world_from_tag` is (3, 4) (m)."""
+    """Transform from DexYCB's world frame to that of the table's AprilTag, given the tag's pose [R | t] (3, 4) (m)."""
 
     def __init__(self, world_from_tag: npt.ArrayLike) -> None:
         pose = np.asarray(world_from_tag, dtype=np.float32)

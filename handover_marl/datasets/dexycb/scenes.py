@@ -161,9 +161,10 @@ def _read_poses(path: Path, n_objects: int) -> tuple[Float32, Float32]:
 
 
 def compute_object_trajectory(poses: Float32, tag: TagFrame) -> Float32:
-    """Return an object's motion (T, 6) float32 in the tag's frame at 1 kHz: position (m), unwrapped XYZ Euler angles.
+    """Return an object's motion (T, 6) float32 in the tag's frame at 1 kHz: position (m), Euler angles (rad).
 
-    The keyframes `poses` (F, 7) float32 are in DexYCB's world frame: quaternion xyzw, position (m).
+    The angles are intrinsic XYZ and unwrapped. The keyframes `poses` (F, 7) float32 are in DexYCB's world frame:
+    quaternion xyzw, position (m).
     """
     span = KeyframeSpan(0, len(poses) - 1)
     quaternions = tag.transform_rotations(Rotation.from_quat(poses[:, :4]))
@@ -177,8 +178,8 @@ def compute_hand_trajectory(poses: Float32, tag: TagFrame, model: ManoModel, wri
 
     A row is base position (m), unwrapped base angles and finger angles (rad, intrinsic XYZ); zero without a hand. The
     keyframes `poses` (F, 51) float32 are in DexYCB's world frame: rotation vector (rad), 45 coefficients of the finger
-    pose, translation (m); rows without a hand are zero, and only at start and end. `wrist` is the root joint (3,) at
-    rest (m) for the hand's shape in this recording, and `base` (3,) (m) the root joint of the articulated hand.
+    pose, translation (m); rows without a hand are zero, and only at start and end. `wrist` (3,) is the wrist joint (m)
+    of `model` at rest for the hand's shape in this recording, `base` (3,) that for the shape of the subject's URDF.
     """
     present = np.flatnonzero(poses.any(axis=1))
     span = KeyframeSpan(int(present[0]), int(present[-1]))

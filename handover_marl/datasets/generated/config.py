@@ -97,7 +97,7 @@ class GeneratedConfig:
 
     @property
     def argument(self) -> str:
-        """Text after `generated:` that describes this configuration: n, seed and values that are not defaults."""
+        """Text after `generated:` in the data set's name: n, seed and values other than the family's defaults."""
         usual = {**vars(FAMILY_DEFAULTS[self.family]), "n": None, "seed": None, "family": DEFAULT}
         return ",".join(f"{name}={value}" for name, value in vars(self).items() if value != usual[name])
 
@@ -109,7 +109,7 @@ FAMILY_DEFAULTS: Final[Mapping[str, GeneratedConfig]] = MappingProxyType(
 
 
 def parse_generated_config(argument: str) -> GeneratedConfig:
-    """Parse text such as "n=100,family=hard"; omitted values are the family's defaults, wrong ones raise an error."""
+    """Parse text such as "n=100,family=hard" over the family's defaults; raise `OptionError` or `UnknownNameError`."""
     values: dict[str, Any] = {}
     defaults = vars(GeneratedConfig())
     for entry in argument.split(","):

@@ -66,7 +66,7 @@ _FORMAT = 1
 
 
 class GeneratedDataset(HandoverGenerator):
-    """Generated scenes, each a pure function of its number and of all of `config` but `n`; needs no data folder.
+    """Data set of generated scenes, each a pure function of its number and of all of `config` but `n`; has no folder.
 
     Args:
         config: Configuration, or its text such as "n=100000,seed=7,family=hard".
@@ -152,7 +152,7 @@ def _generate_scene(config: GeneratedConfig, scene_id: int) -> GeneratedHandover
 
 
 def _draw_giver(config: GeneratedConfig, scene_id: int, split: str) -> tuple[SimulatedGiver, Seed]:
-    """Draw an object and a person who can grasp it, or raise `HandoverError`; return them and the scene's seed."""
+    """Draw an object of `split` and a person who can grasp it; return both and the seed, or raise `HandoverError`."""
     side = _draw_side(config, scene_id)
     for attempt in range(_MAX_ATTEMPTS):
         seed = make_seed(config, "scene", scene_id, attempt)
@@ -215,14 +215,14 @@ def _open_grasp_stream(config: GeneratedConfig, number: int) -> tuple[RandomStre
 
 @lru_cache(maxsize=256)
 def _draw_few_grasps(config: GeneratedConfig, number: int) -> Array | None:
-    """Return hand link poses (n, 7), xyz (m) and xyzw, at a few robot grasps in the object's frame; None if too few."""
+    """Return hand link poses (n, 7), xyz (m), xyzw, at some robot grasps of object `number` in its frame, or None."""
     random, solid = _open_grasp_stream(config, number)
     grasps = draw_robot_grasps(random, solid, _N_SKETCH_POINTS, _N_SKETCH_GRASPS, is_varied=False)
     return hand_poses_from_grasps(grasps) if len(grasps) >= _MIN_SKETCH_GRASPS else None
 
 
 def _write_object_model(name: str, item: ProceduralObject) -> Path:
-    """Write the model of an object unless it exists, and return the path of its URDF in a folder of its name."""
+    """Write the model of object `item` unless it exists; return the path of its URDF, in a folder called `name`."""
 
     def make_files() -> dict[str, bytes | str]:
         surfaces = [(part.color, make_surface(part)) for part in item.parts]
@@ -233,7 +233,7 @@ def _write_object_model(name: str, item: ProceduralObject) -> Path:
 
 
 def write_hand_model(person: Person, side: Side) -> Path:
-    """Write the model of a person's hand unless it exists, and return the path of its URDF."""
+    """Write the model of a person's right or left hand unless it exists; return the path of its URDF."""
     meshes, name = str(HANDS_FOLDER / "meshes" / side), f"{person.name}_{side}"
 
     def make_files() -> dict[str, bytes | str]:

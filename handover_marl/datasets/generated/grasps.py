@@ -114,7 +114,7 @@ class ClosedHands(ArrayBatch):
 def _sample_open_hands(
     random: RandomStream, solid: Solid, templates: HandTemplates, n_pairs: int
 ) -> tuple[Palms, Ints]:
-    """Sample open hands clear of the object; return palm poses, and postures as indices (n,) in `templates`."""
+    """Sample open hands around `n_pairs` pairs of surface points; return palm poses and posture indices (n,)."""
     thumb_side, finger_side, cosines = solid.sample_antipodal_points(random, n_pairs, _MAX_WIDTH, 0.18)
     noise, draws = random.uniforms(n_pairs, 6), random.uniforms(n_pairs, 4)
     across = finger_side - thumb_side
@@ -163,7 +163,7 @@ def find_free_hands(solid: Solid, templates: HandTemplates, palms: Palms, rows: 
 
 
 def measure_body(solid: Solid, palms: Palms, centers: Array, radii: Array) -> Array:
-    """Return smallest distances (n,) in m of the object from spheres (k, 3), radii (k,), in the frames of n palms."""
+    """Return smallest distances (n,) (m) of an object from spheres (`centers` (k, 3), `radii` (k,)) on n palms."""
     points = palms.transform(np.broadcast_to(centers, (len(palms), *centers.shape)))
     return np.asarray((solid.compute_distances(points) - radii).min(axis=1))
 
@@ -195,7 +195,10 @@ def close_fingers(solid: Solid, templates: HandTemplates, palms: Palms, rows: In
 def _close_end_joints(
     solid: Solid, templates: HandTemplates, palms: Palms, rows: Ints, bends: Array, phalanx: Ints
 ) -> Array:
-    """Return flexions `bends` (n, 5, 3) (rad), with joints beyond the touching `phalanx` (n, 5) closed to contact."""
+    """Return flexions `bends` (n, 5, 3) (rad), with joints beyond the touching `phalanx` (n, 5) closed to contact.
+
+    Other arguments are as in `close_fingers`.
+    """
     n, count = len(rows), _N_DISTAL_STEPS
     beyond = np.arange(3) > phalanx[..., None]
     steps = np.arange(count)[:, None, None] * 1.6 * STEP_ANGLES * beyond[:, None]
@@ -242,7 +245,7 @@ def _find_firm_grasps(solid: Solid, templates: HandTemplates, palms: Palms, clos
 
 
 def _encode_grasps(templates: HandTemplates, palms: Palms, rows: Ints, closed: ClosedHands, side: Side) -> HumanGrasps:
-    """Return the grasps of n closed hands; those of a left hand, found on the mirrored object, are mirrored back."""
+    """Return the grasps of n hands with open postures `rows` (n,); left hands, on a mirrored object, are mirrored."""
     base = palms.position - np.einsum("nij,j->ni", palms.rotation, templates.model.palm_offset)
     quaternion = Rotation.from_matrix(palms.rotation).as_quat()
     flip = np.array([-1.0, 1.0, 1.0]) if side == "left" else np.ones(3)
@@ -262,7 +265,7 @@ def _encode_grasps(templates: HandTemplates, palms: Palms, rows: Ints, closed: C
 def sort_by_farthest_point(grasps: Array) -> Array:
     """Return grasps (k, 4, 4), where k may be 0, in an order in which each is farthest from all before it.
 
-    The distance is Euclidean, in the point between the fingers and in closing and approach directions times 5 cm.
+    Distances are Euclidean, in vectors of the point between the fingers (m) and the closing and approach axes (5 cm).
     """
     if not len(grasps):
         return grasps

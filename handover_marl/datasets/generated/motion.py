@@ -71,10 +71,10 @@ class KeyframeMotion:
     Attributes:
         object_position: (T, 3) position of the object.
         object_rotation: T rotations of the object.
-        base_position: (T, 3) position of the hand's base; valid from frame `hand_first` on.
+        base_position: (T, 3) position of the hand's base; valid from keyframe `hand_first` on.
         base_rotation: T rotations of the hand's base.
         fingers: (T, 45) finger joint angles.
-        hand_first: First frame in which the hand is visible; it remains visible to the end.
+        hand_first: First keyframe in which the hand is visible; it remains visible to the end.
     """
 
     object_position: Array
@@ -109,7 +109,7 @@ class HandoverTiming:
 
 
 def draw_motion(seed: Seed, placement: ObjectPlacement, giver: SimulatedGiver) -> KeyframeMotion:
-    """Draw the keyframes of the object and the person's hand in a scene, between the poses of a placement."""
+    """Draw keyframes of the object and the hand, from the object's start pose to the handover pose of a placement."""
     random = open_stream(seed, "motion")
     side_sign = 1.0 if giver.grasps.side == "right" else -1.0
     speed = random.draw_quantile("peak_speed")
@@ -126,13 +126,16 @@ def draw_motion(seed: Seed, placement: ObjectPlacement, giver: SimulatedGiver) -
 
 
 def minimum_jerk(time: npt.ArrayLike) -> Array:
-    """Return the progress, 0 to 1, of a minimum-jerk motion at fractions of its duration, clipped to [0, 1]."""
+    """Return the progress, 0 to 1, of a minimum-jerk motion at `time`, fractions of its duration, clipped to [0, 1]."""
     t = np.clip(np.asarray(time, dtype=np.float64), 0.0, 1.0)
     return t * t * t * (10.0 + t * (6.0 * t - 15.0))
 
 
 def _draw_timing(random: RandomStream, speed: float, entry_distance: float, lift_time: float) -> HandoverTiming:
-    """Draw a timing for a peak speed of the wrist (m/s); shorten reach (m) and lift (s) if the recording is short."""
+    """Draw a timing for the wrist's peak `speed` (m/s), a reach of `entry_distance` (m) and a lift of `lift_time` (s).
+
+    If the recording is too short for them, reach and lift are shortened.
+    """
     n_frames = list(FRAME_COUNTS)[random.weighted_index(list(FRAME_COUNTS.values()))]
     onset = round(random.draw_quantile("hand_onset"))
     onset_share = random.uniform(0.05, 0.40)
@@ -177,7 +180,7 @@ class _HandoverPath:
         self._rise = self._compute_rise()
 
     def sample(self, progress: Array) -> tuple[Array, Rotation]:
-        """Return positions (n, 3) in m and n rotations of the object at shares (n,) of the path, from 0 to 1."""
+        """Return positions (n, 3) in m and n rotations of the object at `progress` (n,) along the path, from 0 to 1."""
         control = np.array([self._start[0], self._start[1], max(self._start[2], self._end[2])])
         positions = _bezier(progress, self._start, control, self._end)
         positions[:, 2] += self._rise * (4.0 * progress * (1.0 - progress)) ** 0.5
@@ -219,7 +222,10 @@ def _add_hand_motion(
     placement: ObjectPlacement,
     giver: SimulatedGiver,
 ) -> KeyframeMotion:
-    """Add the hand's motion to the object's: it reaches from the direction of `entry` (3,), then follows the object."""
+    """Add the hand's motion to that of the object, which has `position` (T, 3) (m) and `rotation` in T keyframes.
+
+    The hand reaches from the direction of `entry` (3,) (m), then follows the object.
+    """
     grasps, row = giver.grasps, placement.grasp
     object_from_hand = Rotation.from_matrix(giver.object_from_hand[row])
     base_rotation = Rotation.from_quat(multiply_quaternions(rotation.as_quat(), object_from_hand.as_quat()))
@@ -267,7 +273,7 @@ def _compute_reach_path(entry: Array, end: Array, finger_direction: Array, lengt
 
 
 def _bezier(parameter: Array, start: Array, control: Array, end: Array) -> Array:
-    """Return points (n, 3), at parameters (n,) from 0 to 1, of a quadratic Bezier curve with control points (3,)."""
+    """Return points (n, 3) at parameters (n,), 0 to 1, of a quadratic Bezier curve of three control points (3,)."""
     s = parameter[:, None]
     return np.asarray((1 - s) ** 2 * start + 2 * s * (1 - s) * control + s**2 * end)
 
@@ -277,7 +283,7 @@ def _cumulative_lengths(points: Array) -> Array:
 
 
 def _compute_reach_rotations(start: Array, end: Array, finger_direction: Array, progress: Array) -> Rotation:
-    """Return n rotations that turn the fingers to the direction of travel, and fade out as `progress` (n,) nears 1."""
+    """Return n rotations from the fingers' direction to that of `end` - `start`, fading as `progress` (n,) nears 1."""
     travel = (end - start) / max(float(np.linalg.norm(end - start)), 1e-9)
     axis = np.cross(finger_direction, travel)
     sine = float(np.linalg.norm(axis))
@@ -290,7 +296,10 @@ def _compute_reach_rotations(start: Array, end: Array, finger_direction: Array, 
 def _compute_height_offsets(
     giver: SimulatedGiver, base: Array, rotation: Rotation, fingers: Array, frames: npt.NDArray[np.int64]
 ) -> Array:
-    """Return heights (n,) in m by which to raise the hand in the keyframes `frames` (n,) to be clear of the table."""
+    """Return heights (n,) in m by which to raise the hand in the keyframes `frames` (n,) to be clear of the table.
+
+    `base` (T, 3) (m), `rotation` and `fingers` (T, 45) (rad) are those of the hand in all T keyframes.
+    """
     dof = np.concatenate([base[frames], rotation[frames].as_euler("XYZ"), fingers[frames]], axis=1)
     lowest = giver.hand.compute_keypoints(dof)[..., 2].min(axis=1)
     return np.asarray(np.maximum(0.0, JOINT_CLEARANCE - lowest), dtype=np.float64)
@@ -339,7 +348,7 @@ def add_post_arrival_motion(
 
 
 def _draw_curve(random: RandomStream, count: int) -> tuple[Array, Array]:
-    """Draw a curve from rest to rest: displacements (n, 3) (m) and rotation vectors (n, 3) (rad) from its start."""
+    """Draw a curve from rest to rest: displacements (m) and rotation vectors (rad) from its start, (count, 3) each."""
     low, high = _N_WAYPOINTS
     n = low + random.integer(high - low + 1)
     moves = (2.0 * random.uniforms(n, 3) - 1.0) * np.array(_EXTENT)
@@ -390,8 +399,8 @@ def compute_swept_points(motion: KeyframeMotion, giver: SimulatedGiver) -> Array
 def compute_trajectories(motion: KeyframeMotion, clutter: Sequence[ClutterObject]) -> tuple[Float32, Float32, int]:
     """Interpolate keyframes in the table's frame to a scene's motion at 1 kHz in the world frame, as in `Scene`.
 
-    Returns the motions of the objects (T, n, 6), the handed-over one first, and of the hand (T, 51), and the first
-    frame with the hand.
+    Returns the motions of the objects (T, n, 6), the handed-over one before the resting `clutter`, and of the hand
+    (T, 51), and the first frame with the hand.
     """
     n, first = len(motion.object_position), motion.hand_first
     key_times = np.arange(n, dtype=np.float64) * KEYFRAME_PERIOD
@@ -431,7 +440,10 @@ def resample_fingers(key_times: Array, fingers: Array, times: Array) -> Float32:
 
 
 def _resample_angles(key_times: Array, rotations: Rotation, times: Array) -> Array:
-    """Return intrinsic XYZ Euler angles (T, 3) in rad at `times`; a constant start and end are not interpolated."""
+    """Interpolate n `rotations` at `key_times` (n,) to intrinsic XYZ Euler angles (T, 3) in rad at `times` (T,), in s.
+
+    A constant start and end are not interpolated.
+    """
     quaternions, still = rotations.as_quat(), rotations.as_euler("XYZ")
     moves = np.flatnonzero((quaternions[1:] != quaternions[:-1]).any(axis=1))
     if not len(moves):

@@ -1,4 +1,4 @@
-"""Poses of the objects on the table and at the handover, and the human grasp between them.
+"""Poses of the objects on the table and at the handover, and the human grasp of the handed-over object.
 
 All poses are in the table's frame: x to the giver's left, -y towards the robot, z up from the table's surface.
 """
@@ -85,7 +85,7 @@ class ObjectPlacement:
     Attributes:
         start: Position (3,) in m and rotation matrix (3, 3) of the object on the table.
         handover: Position (3,) in m and rotation matrix (3, 3) of the object at the handover.
-        grasp: Index of the grasp among the subject's grasps of the object.
+        grasp: Index of the person's grasp in `SimulatedGiver.grasps`.
     """
 
     start: tuple[Array, Array]
@@ -170,7 +170,7 @@ def draw_placement(random: RandomStream, giver: SimulatedGiver, draw_positions: 
 
 
 def _sample_resting_grasps(random: RandomStream, giver: SimulatedGiver, distance: float) -> list[tuple[Array, int]]:
-    """Draw resting rotations (3, 3) of the object, each with the index of a grasp of about a wrist `distance` (m).
+    """Draw resting rotations (3, 3) of the object, each with the index of a grasp at about the wrist `distance` (m).
 
     If the hand would touch the table in every grasp, return only the grasp with the highest hand.
     """
@@ -226,7 +226,7 @@ def _find_reachable_grasps(giver: SimulatedGiver, rotations: Array, limit: float
 def _sample_handover_poses(
     random: RandomStream, giver: SimulatedGiver, grasp: int, position: Array
 ) -> list[tuple[Array, Array]]:
-    """Draw handover poses (position, matrix (3, 3)) at a position (m); if all touch the table, return a raised one."""
+    """Draw poses (position, matrix) of the object in a grasp at a position (m); if all touch the table, lift one."""
     hand_from_object = giver.object_from_hand[grasp].T
     fitting: list[tuple[Array, Array]] = []
     highest = (-np.inf, np.eye(3))
@@ -247,7 +247,10 @@ def _sample_handover_poses(
 def _compute_costs(
     giver: SimulatedGiver, placements: Sequence[ObjectPlacement], tilt: float, free_grasp_share: float
 ) -> Array:
-    """Return costs (n,) of n placements with one grasp: deviation from a desired tilt (rad) and free grasp share."""
+    """Return costs (n,) of placements with one human grasp: deviation from a desired tilt (rad) and free grasp share.
+
+    The free grasp share is the share of preferred robot grasps that are clear of the giver's hand.
+    """
     rotations = np.stack([placement.handover[1] for placement in placements])
     cosines = np.array([placement.start[1][2] @ placement.handover[1][2] for placement in placements])
     costs: Array = _TILT_WEIGHT * np.abs(np.arccos(np.clip(cosines, -1.0, 1.0)) - tilt)
@@ -328,8 +331,9 @@ def draw_clutter(
 ) -> list[ClutterObject]:
     """Draw the objects on the table that are not handed over in a scene, all of different classes.
 
-    All numbers of objects in `counts` are equally likely; fewer are placed if there is no space. Objects keep clear of
-    each other and of the `occupied` points (3, n), table's frame (m), of the hand and the handed-over object.
+    All numbers of objects in `counts` are equally likely; fewer are placed if there is no space. `draw_item` draws a
+    candidate. Objects keep clear of each other and of the `occupied` points (3, n) of the hand and the handed-over
+    object in the table's frame (m).
     """
     count = counts[random.integer(len(counts))]
     placed: list[ClutterObject] = []

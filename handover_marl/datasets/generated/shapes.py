@@ -264,7 +264,7 @@ def _cone_rings(size: tuple[float, float, float], rounding: float) -> Array:
 
 
 def _rounded_levels(half: float, rounding: float) -> list[tuple[float, float]]:
-    """Return heights and insets (m) of the rings of a part of a half length (m), whose ends have rounded edges."""
+    """Return heights and insets (m) of a part's rings for its half length and the rounding of its edges (m)."""
     if rounding == 0.0:
         return [(-half, 0.0), (half, 0.0)]
     inset = 0.7 * rounding

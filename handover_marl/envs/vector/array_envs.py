@@ -39,8 +39,8 @@ class ArrayEpisodes:
     """Simulator of episodes of one configuration on arrays, with their rewards, features and action schemes.
 
     An episode equals an episode of a single environment with the wrappers `control_agent` and `encode`. The argument
-    `rows` (r,) of methods contains the indices of the episodes to which a method applies. All arrays are NumPy arrays,
-    or PyTorch tensors on the simulation's device, as its attribute `arrays` creates them.
+    `rows` (r,) of methods contains the indices of the episodes to which a method applies. The attribute `arrays` makes
+    all arrays: NumPy arrays, or PyTorch tensors on the simulation's device.
 
     Args:
         template: Single environment of the configuration, with its wrappers; it is not simulated.

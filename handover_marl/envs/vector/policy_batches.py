@@ -24,9 +24,9 @@ from handover_marl.policies.reference import PolicyReference
 
 
 class PopulationBatch(PolicyBatch):
-    """Batch of the population `policy`: each member acts in the episodes that have drawn it.
+    """Policy batch of a population, from which each episode draws the member policy that acts in it.
 
-    The argument `batches` has the policy batch of each member, for all `count` episodes.
+    The argument `batches` has the policy batch of each member of `policy`, for all `count` episodes.
     """
 
     def __init__(

@@ -236,7 +236,7 @@ def _make_envs(
     template: WrappableEnv | None = None,
     load_scene: Callable[[int], Scene] | None = None,
 ) -> Envs:
-    """Make environments, which one thread simulates.
+    """Make `count` environments, which one thread simulates; `make_single` makes one of them.
 
     With `prefetches`, next episodes may be simulated in advance, because `reset` gets no options after the end of an
     episode. A template and a cache of scenes are made unless they are given.

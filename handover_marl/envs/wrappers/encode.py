@@ -189,7 +189,7 @@ def encode(
 ) -> Any:
     """Return an environment whose observations are feature vectors and whose actions are outputs of a network.
 
-    Outputs are in [-1, 1], but for the action schemes `giver` and `receiver`, whose outputs are in physical units.
+    Outputs are in [-1, 1], except those of the action schemes `giver` and `receiver`, which are in physical units.
 
     Args:
         env: `handover_marl.parallel_env(...)`, or `control_agent(...)` of it.

@@ -54,7 +54,7 @@ class ParallelWrapper(BaseParallelWrapper, EzPickle):  # type: ignore[misc]
 
 
 def check_env(env: object) -> None:
-    """Check that a value is a `HandoverEnv` or a PettingZoo wrapper of one."""
+    """Raise `OptionError` unless a value is a `HandoverEnv` or a PettingZoo wrapper of one."""
     base = env.unwrapped if isinstance(env, BaseParallelWrapper) else env
     if not isinstance(base, HandoverEnv):
         raise OptionError(

@@ -85,12 +85,7 @@ def estimate_mean(values: Sequence[float]) -> Estimate:
 
 
 def compute_wilson_interval(count: int, n: int) -> tuple[float, float]:
-    """Compute Wilson's 95 % interval of a rate (0..1).
-
-    Args:
-        count: Number of occurrences.
-        n: Number of trials.
-    """
+    """Compute Wilson's 95 % interval of a rate (0..1), given the number `count` of occurrences in n trials."""
     interval = scipy.stats.binomtest(count, n).proportion_ci(0.95, method="wilson")
     return float(interval.low), float(interval.high)
 

@@ -149,7 +149,7 @@ class StrangersReport(TabularResult):
         }
 
     def find_worst_partner(self) -> Partner:
-        """Return the partner with the smallest success rate; of several the one with the smallest AS."""
+        """Return the partner with the smallest success rate; among equal ones, the one with the smallest AS."""
         rates = zip(self.successes.mean(axis=(0, 2)), self.scores.mean(axis=(0, 2)), strict=True)
         return self.partners[min(enumerate(rates), key=lambda pair: pair[1])[0]]
 
@@ -215,7 +215,7 @@ def list_differences(first: Mapping[str, object], second: Mapping[str, object]) 
 
 
 def make_report(crossplay: CrossPlay, population: Population, partners: str, agent: str) -> StrangersReport:
-    """Make the report of the policies of one agent, given their cross-play with a population's partners."""
+    """Make the report of `agent`'s policies, given their cross-play with a population's partners of a split."""
     chosen, is_giver = population.select(OTHER_AGENT[agent], partners), agent == "giver"
     names, labels = crossplay.givers, crossplay.receivers
     if not is_giver:
@@ -231,7 +231,7 @@ def make_report(crossplay: CrossPlay, population: Population, partners: str, age
 
 
 def read_entry(folder: Path) -> dict[str, str]:
-    """Return the texts `population`, `partner_split` and `agent` in the `strangers.json` of an output folder."""
+    """Read population, split and agent from a folder's `strangers.json`, by key; raise `ResultsError` if that fails."""
     path = folder / ENTRY_FILE
     try:
         content = json.loads(read_plain_file(path, _MAX_BYTES))

@@ -75,7 +75,7 @@ def estimate_difference(statistic: Statistic, first: Array, second: Array, famil
 def _estimate(
     compute: Callable[..., float], methods: list[Array], families: Sequence[str] | None, lowest: float
 ) -> Estimate:
-    """Estimate a function of methods' scores; its 95 % interval is within `lowest` and 1."""
+    """Estimate a function `compute` of methods' scores with a 95 % interval within `lowest` and 1; see `estimate`."""
     value, error, quantile = _apply_jackknife(compute, methods, families)
     low, high = value - quantile * error, value + quantile * error
     return Estimate(value, (max(lowest, low), min(1.0, high)), methods[0].size)
@@ -84,7 +84,7 @@ def _estimate(
 def _apply_jackknife(
     compute: Callable[..., float], methods: list[Array], families: Sequence[str] | None
 ) -> tuple[float, float, float]:
-    """Return the value of a function of methods' scores, its standard error, and Student's quantile."""
+    """Return the value of `compute` for the methods' scores, its standard error, and Student's 97.5 % quantile."""
     shape = methods[0].shape
     everywhere = range(len(methods))
     # Which arrays vary together, along which axis, and the index sets that are left out one at a time.

@@ -113,7 +113,7 @@ def read_model_mtimes(urdf: Path) -> tuple[int, ...]:
 
 @cached_by_file(maxsize=256)
 def _list_meshes(urdf: Path) -> tuple[str, ...]:
-    """Return the distinct mesh paths of a URDF file, as text, which is faster to check at each episode start."""
+    """Return the distinct mesh paths of a URDF file as text: it is faster than `Path`s to read modification times."""
     return tuple(dict.fromkeys(str(mesh) for _, mesh in list_mesh_references(urdf)))
 
 

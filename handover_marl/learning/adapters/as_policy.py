@@ -123,7 +123,11 @@ def _adapt(
 def _read_model(
     agent: str, policy: Any, given: dict[str, Any], has_only_state: bool, trust: bool
 ) -> tuple[str, Callable[[Any], Any], PolicySpec]:
-    """Return the default name, the function and the encoding of a model; `given` are chosen fields of `PolicySpec`."""
+    """Return the default name, the function and the encoding of a model.
+
+    `given` are the fields of `PolicySpec` that the caller chose. If observations have no camera data
+    (`has_only_state`), a PyTorch module gets flat vectors by default, else dicts.
+    """
     if isinstance(policy, (str, os.PathLike)):
         path = Path(policy).expanduser()
         spec, network, _ = read_policy(path, agent, trust, **given)

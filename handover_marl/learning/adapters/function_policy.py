@@ -240,7 +240,7 @@ class LearnedPolicy(FunctionPolicy):
         context: Robot, task and known grasps of the objects.
         path: Policy file, see `handover_marl.learning.policy_files`.
         trust: Whether modules that the file names may be imported.
-        control_period: Time between two decisions in training (s), for files that do not record it.
+        control_period: Time between two decisions (s); default, and only valid value: that in the file.
         wait: Time for which the robot stays at its waiting pose at the start of an episode (s);
             default: as in training. Only action schemes that wait have this option.
     """

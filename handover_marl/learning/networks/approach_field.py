@@ -60,7 +60,7 @@ def compute_approach_steps(hands: Array, goals: Array, remaining: Array, spare_s
 
 
 def _compute_standoffs(relative: Array, rotations: Rotation) -> Array:
-    """Return the distances (n,) in m from the grasps to which n hands should move: 0 to move in.
+    """Return how far before its grasp each of n hands should aim, (n,) in m; 0 to move in to the grasp.
 
     Args:
         relative: (n, 7) poses of the hand link in the frame of the grasp, quaternions xyzw.

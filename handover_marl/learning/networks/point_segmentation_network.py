@@ -42,7 +42,7 @@ def _find_nearest(points: Tensor, centers: Tensor, count: int) -> tuple[Tensor, 
 
 
 class _Neighborhoods(nn.Module):
-    """Features of the neighborhoods of centers: the largest value of each feature among their points."""
+    """Layer that gives each center the largest value of each feature among its `size` nearest points."""
 
     def __init__(self, n_inputs: int, n_outputs: int, size: int, scale: float) -> None:
         super().__init__()
@@ -94,9 +94,9 @@ class PointSegmentationNetwork(nn.Module):
         """Return the logits (B, N, n_classes) of the points of B clouds.
 
         Args:
-            points: (B, N, 3) points in the world (m), in random order.
+            points: (B, N, 3) points in a frame with the world's z axis (m), in random order.
             margins: (B, N) differences of the logits of hand and object in the image; 0 if unknown.
-            camera: (B, 3) position of the hand link in the world (m).
+            camera: (B, 3) position of the robot's hand link in the same frame (m).
         """
         mean = points.mean(dim=1)
         local = points - mean[:, None]

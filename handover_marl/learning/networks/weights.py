@@ -67,7 +67,7 @@ class SavedNetwork(nn.Module):
     uses_int8: ClassVar[bool] = False
 
     def get_settings(self) -> dict[str, Any]:
-        """Return the arguments of the network's constructor by name, in JSON types."""
+        """Return the arguments of the network's constructor by name, in JSON types; none by default."""
         return {}
 
     @classmethod

@@ -39,7 +39,7 @@ def spawn_seeds(count: int, *entropy: int) -> list[int]:
 
 
 def describe_origin(script: str, arguments: object) -> str:
-    """Return "experiments/training/SCRIPT.py name=value, ..." for a dataclass of arguments, without paths."""
+    """Return "experiments/training/SCRIPT.py name=value, ..." without paths, `resume` and `workers` of `arguments`."""
     parts = [f"{key}={value!r}" for key, value in vars(arguments).items() if key not in _UNRECORDED_ARGUMENTS]
     return f"experiments/training/{script}.py {', '.join(parts)}"
 

@@ -134,7 +134,7 @@ class DataGenerator:
         return stack_samples(ImitationStates, states, columns)
 
     def _render_points(self, camera: RayCamera, scenario: ImitationScenario, joints: Array, hand: Array) -> Any:
-        """Return visible points (n, 3) of the object in the hand link's frame (m); its world pose (7,) is `hand`."""
+        """Return the object's visible points (n, 3) in the frame (m) of the hand link, whose world pose is `hand`."""
         robot = np.array([*joints, OPEN, OPEN], dtype=np.float32)
         image = camera.render_targets(JointSnapshot(robot, None, scenario.dof[None]))
         points = deproject(image.depth, image.compute_mask(SegmentationLabel.TARGET))

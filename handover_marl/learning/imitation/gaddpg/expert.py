@@ -168,7 +168,7 @@ class ImitationScenarios:
         return np.asarray(self._start + rng.normal(0.0, _JOINT_STD, ARM_DOF) * (rng.random() < 0.5))
 
     def _sample_viewing_pose(self, target: Array, rng: np.random.Generator) -> Array:
-        """Return a random world pose (7,) of the Panda's hand link that looks at a position (3,), nearly upright."""
+        """Return a random, nearly upright world pose (7,) of the hand link, whose camera aims near a position (3,)."""
         direction = rng.standard_normal(3)
         # On the side of the robot's base, 11 degrees above the horizontal.
         to_base = self._base - target
@@ -290,8 +290,8 @@ class GraspExpert:
         """Return at most four reachable grasps of lowest cost, and their costs.
 
         Returns:
-            (g, 7) world poses of the hand link, cheapest first if the distance from the present pose counts, and (g,)
-            costs (m) that exclude this distance.
+            (g, 7) world poses of the hand link, quaternions xyzw, cheapest first, and (g,) costs (m). The order counts
+            the distance from the present pose, the costs do not.
         """
         joints, names = scenario.joints, self._context.object_names
         (object_class,) = (number for number, name in names.items() if name == scenario.object_name)
@@ -315,7 +315,7 @@ class GraspExpert:
         return world[order], costs[order] - compute_grasp_distances(hand, world[order], _ROTATION_COST, PAD_DISTANCE)
 
     def _are_reachable(self, goals: Array, joints: Array) -> npt.NDArray[np.bool_]:
-        """Return (n,) whether the arm, now at joints (7,), reaches goals (n, 7) and standoff poses in like postures."""
+        """Return (n,) whether the arm, now at joints (7,), reaches goals (n, 7) and standoffs with similar joints."""
         standoffs = compose(goals, np.array([0.0, 0.0, -_STANDOFF, 0.0, 0.0, 0.0, 1.0]))
         before, standoff_found = self.arm.solve(standoffs, np.tile(joints, (len(goals), 1)), 30)
         after, goal_found = self.arm.solve(goals, before, 15)
@@ -333,7 +333,7 @@ class GraspExpert:
         return path
 
     def _compute_miss(self, joints: Array, goal: Array) -> float:
-        """Return the distance (m), with the weighted rotation, of the hand link from a goal (7,) at arm joints (7,)."""
+        """Return the distance (m) of the hand at arm joints (7,) from a goal (7,), plus the weighted angle to it."""
         hand = self.arm.compute_hand_pose(joints)
         return float(compute_grasp_distances(goal, hand[None], _ROTATION_WEIGHT, PAD_DISTANCE)[0])
 

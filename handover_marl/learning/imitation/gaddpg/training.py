@@ -115,7 +115,7 @@ def compute_goal_losses(goals: Tensor, targets: Tensor) -> Tensor:
 
 
 def _compute_mean_distances(poses: Tensor, points: Tensor, others: Tensor, other_points: Tensor) -> Tensor:
-    """Return mean L1 distances (B,) of six `points` (6, 3) at `poses` (B, 7) and `other_points` at `others`."""
+    """Return mean L1 distances (B,) of `points` (6, 3) at `poses` (B, 7) from `other_points` (6, 3) at `others`."""
     offsets = transform_points(poses[:, None], points) - transform_points(others[:, None], other_points)
     distances: Tensor = offsets.abs().sum(dim=-1).mean(dim=-1)
     return distances
