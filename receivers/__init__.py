@@ -23,7 +23,7 @@ def list_available() -> tuple[str, ...]:
 def make(policy: PolicyLike, dataset: Dataset | None = None, trust: bool = False, setup: str | None = None) -> Policy:
     """Create a receiver, named as text such as "vision:wait=1" or given as a class, for a dataset's robot and objects.
 
-    The default dataset is `open_dataset()`. `trust` allows to import modules that only a policy file names;
+    The default dataset is `open_dataset()`. `trust` allows importing modules that only a policy file names;
     `setup` selects the shipped weights.
 
     Raises:

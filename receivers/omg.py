@@ -151,7 +151,7 @@ class OmgReceiver(PhasedReceiver):
         return plan
 
     def _make_obstacles(self, observation: Observation, base_from_objects: Array) -> list[Obstacle]:
-        """Return the objects of the scene as obstacles, given their poses (5, 7) in the robot's base frame."""
+        """Return the objects of the scene as obstacles, given their poses (5, 7; xyzw) in the robot's base frame."""
         present = np.flatnonzero(observation["object_mask"])
         names = [self.context.object_names[int(observation["object_classes"][number])] for number in present]
         urdfs = [self.context.find_object_urdf(name) for name in names]

@@ -209,7 +209,7 @@ class Yang2021Receiver(ArrayPolicy, Receiver):
         return self._arrays.asarray(np.where(waits[:, None], panda.WAITING_JOINTS, actions).astype(np.float32))
 
     def _find_places(self, rows: Indices, approaches: Flags, hands: npt.NDArray[np.float32]) -> tuple[Flags, Flags]:
-        """Return masks (r,) of hand links, at poses (r, 7), between standoff and grasp, and of hand links at the grasp.
+        """Return two masks (r,) of the hand links with poses (r, 7): between standoff and grasp, and at the grasp.
 
         Both are False where `approaches` (r,) is False.
         """
@@ -264,7 +264,7 @@ class Yang2021Receiver(ArrayPolicy, Receiver):
         return arms
 
     def _compute_costs(self, rows: Indices, standoffs: Array, hands: npt.NDArray[np.float32]) -> Array:
-        """Return the costs (r, n) of standoffs (r, n, 7) of hand links that are at poses (r, 7) now."""
+        """Return the costs (r, n) in m^2 of standoffs (r, n, 7) for hand links with present poses (r, 7)."""
         references, weight = self._references[rows], self.config.rotation_weight
         references = np.where(np.isnan(references), hands, references)
         to_preferred = compute_pose_distances(self.config.preferred_pose, standoffs, weight)

@@ -120,8 +120,7 @@ class HandoverController:
     def _approach(self) -> Action:
         scene = self._scene
         if scene.is_lost:
-            # From the waiting pose the camera sees more.
-            return self._motion.retreat_home()
+            return self._motion.search()
         result = self._approach_controller.step()
         if not isinstance(result, GraspGoal):
             self.phase = ReactivePhase.FINAL_APPROACH if self._approach_controller.is_near else ReactivePhase.APPROACH

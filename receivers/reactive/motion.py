@@ -65,11 +65,12 @@ class MotionController:
 
     def move_home(self) -> Action:
         """Return the action towards the robot's waiting pose, ignoring the person's hand."""
-        return self.move_open(self._compute_home_velocity())
+        return self.move_open(self.servo.compute_goal_velocity(self.scene.arm_joints, HOME))
 
-    def retreat_home(self) -> Action:
-        """Return the action towards the robot's waiting pose, clear of the person's hand."""
-        return self.move_open(self._separate(self._compute_home_velocity(), self._config.hand_clearance))
+    def search(self) -> Action:
+        """Return the action towards the configuration from which to look for grasps, clear of the person's hand."""
+        velocity = self.servo.compute_goal_velocity(self.scene.arm_joints, self.scene.plan_search())
+        return self.move_open(self._separate(velocity, self._config.hand_clearance))
 
     def move_to(self, goal: Array, surface: Spheres) -> Action:
         """Return the action to joints (7,) in rad, clear of person and object; `surface` is in the object's frame."""
@@ -111,9 +112,6 @@ class MotionController:
         `acceleration` (rad/s^2), unless None, replaces the configured maximum joint acceleration.
         """
         return self._make_action(velocity, CLOSED, acceleration)
-
-    def _compute_home_velocity(self) -> Array:
-        return self.servo.compute_goal_velocity(self.scene.arm_joints, HOME)
 
     def _make_action(self, velocity: Array, fingers: float, acceleration: float | None) -> Action:
         target = self.servo.compute_motor_targets(self.scene.arm_joints, self.servo.limit_speed(velocity), acceleration)
@@ -174,7 +172,7 @@ class ApproachController:
         goal = self._select_goal()
         if goal is None:
             self.is_near = False
-            return self._motion.retreat_home()
+            return self._motion.search()
         config, scene = self._config, self._scene
         error = self._selector.compute_pose_in_grasp(goal, scene.object_pose, scene.gripper_pose)
         factor = scene.tolerance_factor

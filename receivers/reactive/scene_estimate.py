@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from handover_marl.config import ARM_DOF
 from handover_marl.episode.observations import Observation
+from handover_marl.geometry.panda import WAITING_JOINTS
 from handover_marl.geometry.poses import compose, invert_pose, transform_points
 from handover_marl.geometry.ycb import CLASS_NAMES
 from handover_marl.planning.arm_control import ArmInWorld
@@ -98,6 +99,10 @@ class SceneEstimate(ABC):
             moved = transform_points(compose(handover_pose, invert_pose(self.object_pose)), human_hand.centers)
             bodies.append(Spheres(moved, human_hand.radii))
         return Spheres.join(bodies if self.obstacles is None else [*bodies, self.obstacles])
+
+    def plan_search(self) -> Array:
+        """Return the configuration (7,) in rad to which the arm moves while no grasp is suitable: the waiting pose."""
+        return np.array(WAITING_JOINTS[:ARM_DOF])
 
     @property
     def hand_in_object(self) -> Spheres | None:

@@ -21,6 +21,7 @@ from handover_marl.receivers.vision.grasp_predictor import load_grasp_predictor
 from handover_marl.receivers.vision.grasp_tracker import GraspTracker
 from handover_marl.receivers.vision.mask_predictor import UNSEGMENTED, MaskPredictor, load_mask_predictor
 from handover_marl.receivers.vision.scene_estimate import PointCloudSceneEstimate
+from handover_marl.receivers.vision.view_planner import ViewPlanner
 
 #: Values of `masks`: segmentation masks of the simulator, and of the network that ships.
 PERFECT, PREDICTED = "perfect", "predicted"
@@ -83,7 +84,8 @@ class VisionReceiver(ControllerReceiver):
     def reset(self, seed: int | None = None) -> None:
         """Start an episode; `seed` determines the random points that the network gets."""
         tracker = GraspTracker(self._predictor, seed)
-        self._scene = PointCloudSceneEstimate(self.arm, self.config, tracker, self._predict_masks)
+        view_planner = ViewPlanner(self.arm, self.servo.max_speeds)
+        self._scene = PointCloudSceneEstimate(self.arm, self.config, tracker, view_planner, self._predict_masks)
         self.start_episode(self._scene)
 
     def act(self, observation: Observation) -> Action:

@@ -13,11 +13,12 @@ from handover_marl.receivers.reactive.grasp_contact import OBSTACLE_RADIUS
 from handover_marl.receivers.reactive.scene_estimate import SceneEstimate
 from handover_marl.receivers.vision.grasp_tracker import LOST_TIMEOUT, GraspTracker, LabelVotes, VoxelMap
 from handover_marl.receivers.vision.mask_predictor import MaskPredictor, segment_clouds
+from handover_marl.receivers.vision.view_planner import ViewPlanner
 
 Array = npt.NDArray[np.float64]
 
 #: Times out of sight after which the object is searched for (s). The second is for an object that was at rest when it
-#: was last visible, in scenes with other objects: the arm moves around them, which takes longer.
+#: was last visible: the camera may look away while the arm moves to a grasp, or around other objects.
 SEARCH_TIMEOUT, HIDDEN_TIMEOUT = 0.25, 1.5
 # Edge length of the voxels in which views vote on predicted labels (m), and the memory of the votes (s).
 _VOTE_VOXEL_SIZE, _VOTE_MEMORY = 0.02, 0.5
@@ -70,6 +71,7 @@ class PointCloudSceneEstimate(SceneEstimate):
         arm: Kinematics of the arm.
         config: Configuration of grasp selection and motion.
         tracker: Tracker of object, hand and grasps.
+        view_planner: Planner of the views from which the camera looks at object and hand.
         predict_masks: Predictor of the segmentation masks; by default, observations have segmented point clouds.
     """
 
@@ -78,11 +80,12 @@ class PointCloudSceneEstimate(SceneEstimate):
         arm: ArmInWorld,
         config: ReactiveConfig,
         tracker: GraspTracker,
+        view_planner: ViewPlanner,
         predict_masks: MaskPredictor | None = None,
     ) -> None:
         self._person = PointCloudHandTracker()
         super().__init__(arm, config, self._person)
-        self.tracker, self._predict_masks = tracker, predict_masks
+        self.tracker, self._view_planner, self._predict_masks = tracker, view_planner, predict_masks
         self._last_fingers = np.zeros(2)
         self._closing_since, self._moved_at = -np.inf, np.inf
         self._search_timeout = SEARCH_TIMEOUT
@@ -106,7 +109,7 @@ class PointCloudSceneEstimate(SceneEstimate):
         if self.tracker.position.is_known:
             self.object_pose = self.tracker.object_pose
             self.motion.update(self.time, self.object_pose)
-        if self.obstacles is not None and self.tracker.compute_unseen_time(self.time) == 0.0:
+        if self.tracker.compute_unseen_time(self.time) == 0.0:
             self._set_lost_timeouts()
         if len(others):
             self._update_obstacles(others)
@@ -135,7 +138,7 @@ class PointCloudSceneEstimate(SceneEstimate):
         return (is_late and not self.are_fingers_closed) or self.time - self._moved_at > _RELEASE_DELAY
 
     def _set_lost_timeouts(self) -> None:
-        """Set how long the object may be out of sight: longer if at rest, as detours around other objects take time."""
+        """Set how long the object may be out of sight: longer if at rest, until the arm has moved to a grasp."""
         is_settled = self.is_settled
         self._search_timeout = HIDDEN_TIMEOUT if is_settled else SEARCH_TIMEOUT
         self.tracker.lost_timeout = HIDDEN_TIMEOUT if is_settled else LOST_TIMEOUT
@@ -145,6 +148,17 @@ class PointCloudSceneEstimate(SceneEstimate):
         self._obstacle_map.update(self.time, transform_points(self.gripper_pose, points), forget=False)
         centers = self._obstacle_map.points
         self.set_obstacles(Spheres(centers, np.full(len(centers), OBSTACLE_RADIUS)))
+
+    def plan_search(self) -> Array:
+        """Return the configuration (7,) in rad from which the camera looks at object and hand from near."""
+        if not self.tracker.position.is_known:
+            return super().plan_search()
+        human_hand = self._person.spheres
+        target = self.object_pose[:3]
+        if self.is_lost and human_hand is not None:
+            target = np.median(human_hand.centers, axis=0)
+        bodies = self.predict_bodies(self.object_pose, self.tracker.surface)
+        return self._view_planner.plan(self.time, self.arm_joints, target, bodies, self.is_settled)
 
     @property
     def is_lost(self) -> bool:

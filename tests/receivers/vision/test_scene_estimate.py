@@ -1,14 +1,16 @@
-"""Tests of the scene that the receiver `vision` estimates from point clouds."""
+"""Tests of the scene that the receiver `vision` estimates from point clouds, and of views from which it searches."""
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from handover_marl.datasets import open_dataset
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.panda import WAITING_JOINTS
 from handover_marl.geometry.poses import inverse_transform_points
 from handover_marl.planning.arm_control import ArmInWorld
+from handover_marl.planning.robot_clearance import Spheres, compute_open_gripper_clearances
 from handover_marl.policies.policy import make_policy_context
 from handover_marl.receivers.reactive.selector import HOME
 from handover_marl.receivers.vision.grasp_predictor import GraspPrediction
@@ -20,6 +22,8 @@ from handover_marl.receivers.vision.scene_estimate import (
     SEARCH_TIMEOUT,
     PointCloudSceneEstimate,
 )
+from handover_marl.receivers.vision.view_planner import ViewPlanner
+from handover_marl.simulation.camera.optics import WRIST_CAMERA
 
 Array = NDArray[np.float64]
 
@@ -37,7 +41,7 @@ def predict(item: Array, hand: Array, velocity: Array, rng: np.random.Generator)
 
 def make_estimate() -> PointCloudSceneEstimate:
     tracker = GraspTracker(predict, 0)
-    return PointCloudSceneEstimate(ARM, make_vision_reactive_config(), tracker)
+    return PointCloudSceneEstimate(ARM, make_vision_reactive_config(), tracker, ViewPlanner(ARM, np.ones(7)))
 
 
 def observe(time: float, item: Array, others: Array) -> Observation:
@@ -68,12 +72,46 @@ def test_visible_points_of_other_objects_are_kept() -> None:
     assert len(estimate.obstacles.radii) < len(OTHERS)
 
 
-@pytest.mark.parametrize("others", [np.zeros((0, 3)), OTHERS])
-def test_hidden_object_at_rest_is_expected_for_longer_beside_others(others: Array) -> None:
+@pytest.mark.parametrize(("speed", "patience"), [(0.0, HIDDEN_TIMEOUT), (0.4, SEARCH_TIMEOUT)])
+def test_hidden_object_is_expected_for_longer_at_rest(speed: float, patience: float) -> None:
     estimate, nothing = make_estimate(), np.zeros((0, 3))
     for number in range(10):
-        estimate.update(observe(0.05 * number, OBJECT, others))
-    patience = HIDDEN_TIMEOUT if len(others) else SEARCH_TIMEOUT
+        estimate.update(observe(0.05 * number, OBJECT + 0.05 * number * speed * np.eye(3)[1], nothing))
     for since, is_lost in ((patience - 0.05, False), (patience + 0.1, True)):
-        estimate.update(observe(round(0.45 + since, 3), nothing, others))
+        estimate.update(observe(round(0.45 + since, 3), nothing, nothing))
         assert estimate.is_lost is is_lost
+    for time in np.arange(2.5, 3.5, 0.05):
+        estimate.update(observe(float(time), nothing, nothing))
+        goal = estimate.plan_search()
+    assert not np.array_equal(goal, HOME), "the arm searches for the object"
+
+
+def plan_views(planner: ViewPlanner, times: Array, can_begin: bool = True) -> list[Array]:
+    """Return the configurations of an arm that reaches each one within 0.1 s, without repetitions."""
+    views, body = [HOME], Spheres(OBJECT, np.full(len(OBJECT), 0.01))
+    for time in times:
+        view = planner.plan(float(time), views[-1], OBJECT.mean(axis=0), body, can_begin)
+        if not np.array_equal(view, views[-1]):
+            views.append(view)
+    return views
+
+
+def test_views_look_at_the_object_from_several_directions() -> None:
+    _, *views = plan_views(ViewPlanner(ARM, np.ones(7)), np.arange(0.0, 4.0, 0.1))
+    poses = ARM.compute_hand_poses(np.array(views))
+    for pose in poses:
+        right, down, ahead = inverse_transform_points(pose, OBJECT.mean(axis=0)) - WRIST_CAMERA.position
+        assert np.hypot(right, down) < 0.01
+        assert 0.39 < ahead < 0.51
+    assert compute_open_gripper_clearances(poses, Spheres(OBJECT, np.full(len(OBJECT), 0.01))).min() > 0.08
+    directions = Rotation.from_quat(poses[:, 3:]).as_matrix()[:, :, 2]
+    assert (directions @ directions[0]).min() < np.cos(1.0)
+
+
+def test_search_begins_after_half_a_second_if_it_may() -> None:
+    assert len(plan_views(ViewPlanner(ARM, np.ones(7)), np.arange(0.0, 0.5, 0.1))) == 1
+    planner = ViewPlanner(ARM, np.ones(7))
+    assert len(plan_views(planner, np.arange(0.0, 4.0, 0.1), can_begin=False)) == 1
+    assert len(plan_views(planner, np.arange(4.0, 4.7, 0.1))) == 2
+    assert len(plan_views(planner, np.arange(4.7, 8.0, 0.1), can_begin=False)) > 4, "a search that has begun goes on"
+    assert len(plan_views(planner, np.arange(8.5, 9.5, 0.1), can_begin=False)) == 1, "a new one does not begin"
