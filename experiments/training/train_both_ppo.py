@@ -7,8 +7,8 @@ when to close the gripper. Both get the reward of a success. In MAPPO (Yu et al.
 observe the features of both agents. The folder gets `giver.npz` and `receiver.npz`. Agents of several seeds are
 compared with partners that they never met by
 
-    handover-marl crossplay --givers learned:runs/both0/giver.npz,learned:runs/both1/giver.npz \
-        --receivers learned:runs/both0/receiver.npz,learned:runs/both1/receiver.npz --split val
+    handover-marl crossplay --givers learned:runs/both0/giver.npz learned:runs/both1/giver.npz \
+        --receivers learned:runs/both0/receiver.npz learned:runs/both1/receiver.npz --split val
 """
 
 from dataclasses import dataclass

@@ -24,8 +24,8 @@ _STRANGERS, _TABLES = SceneArguments(physics=FAST), TableArguments()
 # Fields of `EvaluationConfig` that do not apply to a single scene, and the receiver, which has an option of its own.
 _SPLIT_FIELDS = {"setup", "split", "scenes", "receiver"}
 _Point = Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")]
-_Names = Annotated[str, tyro.conf.arg(metavar="POLICY,...")]
-_OptionalNames = Annotated[str | None, tyro.conf.arg(metavar="POLICY,...")]
+_Policies = Annotated[tuple[str, ...], tyro.conf.arg(metavar="POLICY [POLICY ...]")]
+_OptionalPolicies = Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="POLICY [POLICY ...]")]
 
 
 def run_benchmark(
@@ -53,8 +53,8 @@ def run_evaluate_pair(
 
 
 def run_crossplay(
-    givers: _Names = "replay,cooperative,hesitant",
-    receivers: _Names = "hold,yang2021",
+    givers: _Policies = ("replay", "cooperative", "hesitant"),
+    receivers: _Policies = ("hold", "yang2021"),
     evaluation: SceneArguments = _VAL_SCENES,
     execution: ExecutionArguments = _EXECUTION,
     tables: TableArguments = _TABLES,
@@ -62,21 +62,19 @@ def run_crossplay(
     """Evaluate every giver with every receiver and print the success rates.
 
     Args:
-        givers: Comma-separated givers; the first is the baseline to which the rates of the others are compared.
-        receivers: Comma-separated receivers.
+        givers: Givers; the first is the baseline to which the rates of the others are compared.
+        receivers: Receivers.
     """
     from handover_marl.evaluation.crossplay import crossplay
-    from handover_marl.policies.reference import split_policy_list
 
-    rows, columns = split_policy_list("giver", givers), split_policy_list("receiver", receivers)
     config = execution.make_config()
-    result = crossplay(rows, columns, evaluation.make_config(), execution=config)
+    result = crossplay(givers, receivers, evaluation.make_config(), execution=config)
     print_tables(result, tables, _describe_path(config, "crossplay.md"))
 
 
 def run_strangers(
-    receiver: _OptionalNames = None,
-    giver: _OptionalNames = None,
+    receiver: _OptionalPolicies = None,
+    giver: _OptionalPolicies = None,
     population: PopulationName = "strangers-v1",
     partners: Literal["train", "test", "all"] = "test",
     n_scenes: int = 36,
@@ -87,18 +85,17 @@ def run_strangers(
     """Evaluate a receiver, or a giver, with unseen partners from a population.
 
     Args:
-        receiver: Receiver to evaluate, or comma-separated trainings of one method.
+        receiver: Receiver to evaluate, or several trainings of one method.
         giver: Giver to evaluate with receivers, in place of a receiver.
         partners: Families of the population to evaluate with.
         n_scenes: Number of scenes, evenly spaced over the split; a large number takes all.
     """
     from handover_marl.evaluation.strangers.protocol import strangers
-    from handover_marl.policies.reference import split_policy_list
 
     config = execution.make_config()
     report = strangers(
-        None if receiver is None else split_policy_list("receiver", receiver),
-        None if giver is None else split_policy_list("giver", giver),
+        receiver,
+        giver,
         population,
         partners,
         n_scenes,

@@ -291,19 +291,6 @@ def parse_policy(agent: str, policy: PolicyLike, trust: bool = False) -> PolicyR
     )
 
 
-def split_policy_list(agent: str, text: str) -> list[str]:
-    """Return the policies of an agent in a comma-separated list; commas in options and file names do not split it."""
-    names: list[str] = []
-    for part in text.split(","):
-        head = part.strip().partition(":")[0]
-        starts = head in list_available(agent) or (":" in part and "=" not in head and "/" not in head)
-        if names and not starts and ":" in names[-1]:
-            names[-1] += f",{part}"
-        else:
-            names.append(part.strip())
-    return names
-
-
 def _parse_text(agent: str, text: str, extra: Mapping[str, Any], trust: bool) -> PolicyReference:
     head, colon, tail = text.partition(":")
     policy_class, name, file = load_registered(agent, head), head, None

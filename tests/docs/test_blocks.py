@@ -20,7 +20,7 @@ from handover_marl.cli import main, program
 from handover_marl.datasets.splits import choose_scenes, get_prescribed_side, list_split_scenes
 from handover_marl.errors import HandoverError
 from handover_marl.evaluation.config import EvaluationConfig
-from handover_marl.policies.reference import parse_policy, split_policy_list
+from handover_marl.policies.reference import parse_policy
 from tests.docs.pages import PAGES, REPOSITORY, Block, blocks, inline_commands, name
 from tests.helpers.fake_layout import FakeScene, write_layout
 from tests.helpers.setup_file import read_setup
@@ -147,8 +147,8 @@ def _check_own(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
             for agent in ("giver", "receiver"):
                 parse_policy(agent, getattr(config, agent))
         agent = option.removesuffix("s")
-        if agent in ("giver", "receiver") and value is not None and "my_package" not in value:
-            for policy in split_policy_list(agent, value):
+        if agent in ("giver", "receiver") and "my_package" not in str(value):
+            for policy in (value,) if isinstance(value, str) else value or ():
                 parse_policy(agent, policy)
 
 

@@ -115,7 +115,7 @@ def test_commands(
     shorten_episodes(monkeypatch, 100)
     options = ["--scenes", "9", "--workers", "1", "--data-dir", str(fake_data), "--out"]
     out = tmp_path / "cross"
-    command = ["crossplay", "--givers", "replay, hesitant", "--receivers", "hold", "--physics", "fast", *options]
+    command = ["crossplay", "--givers", "replay", "hesitant", "--receivers", "hold", "--physics", "fast", *options]
     assert main([*command, str(out)]) == 0
     assert "Cross-play on s0 val, 1 of 36 scenes" in capsys.readouterr().out
     assert (out / "crossplay.md").read_text().startswith("# Cross-play")

@@ -23,7 +23,7 @@ from handover_marl.givers.variations import ReplayGiver
 from handover_marl.learning.adapters.function_policy import LearnedPolicy
 from handover_marl.policies import registry
 from handover_marl.policies.populations import POPULATION_FOLDER
-from handover_marl.policies.reference import PolicyLike, PolicyReference, parse_policy, split_policy_list
+from handover_marl.policies.reference import PolicyLike, PolicyReference, parse_policy
 from handover_marl.receivers.baselines import HoldReceiver
 
 DATA = SyntheticDataset()
@@ -303,25 +303,6 @@ def test_hashes_cover_the_authors_package(tmp_path: Path, monkeypatch: pytest.Mo
     assert hash_with({}) == first
     changed = [{"policy.py": PACKAGE["policy.py"] + "    extra = 1\n"}, {"helping.py": "def HELP():\n    return 2\n"}]
     assert len({first, *map(hash_with, changed)}) == 3
-
-
-@pytest.mark.parametrize(
-    ("agent", "text", "names"),
-    [
-        ("receiver", " hold , yang2021 ", ["hold", "yang2021"]),
-        ("receiver", "hold,omg:wait=1.5,more=2,omg", ["hold", "omg:wait=1.5,more=2", "omg"]),
-        ("receiver", "a.b:C:x=1,y=2,d.e:F:z=3,hold", ["a.b:C:x=1,y=2", "d.e:F:z=3", "hold"]),
-        (
-            "receiver",
-            "learned:runs/lr=1,seed=2/p.npz:control_period=0.1,yang2021",
-            ["learned:runs/lr=1,seed=2/p.npz:control_period=0.1", "yang2021"],
-        ),
-        ("receiver", "learned:C:/x,y/p.npz,hold", ["learned:C:/x,y/p.npz", "hold"]),
-        ("giver", "replay,learned,learned:x.npz", ["replay", "learned", "learned:x.npz"]),
-    ],
-)
-def test_split_policy_list(agent: str, text: str, names: list[str]) -> None:
-    assert split_policy_list(agent, text) == names
 
 
 @pytest.mark.parametrize(
