@@ -81,11 +81,11 @@ class ArmKinematics:
         sines, cosines = np.sin(joints.T), np.cos(joints.T)
         origin, rotation = np.zeros((3, count)), np.repeat(np.eye(3)[..., None], count, axis=2)
         for number, (offset, turn) in enumerate(self._segments):
-            origin = origin + offset @ rotation
-            x, y, z = np.moveaxis(turn.T @ rotation, 1, 0)
-            sine, cosine = sines[number], cosines[number]
-            rotation = np.stack([cosine * x + sine * y, cosine * y - sine * x, z], axis=1)
-            origins[number], rotations[number] = origin, rotation
+            origins[number] = origin = origin + offset @ rotation
+            columns, sine, cosine = turn.T @ rotation, sines[number], cosines[number]
+            x, y = columns[:, 0], columns[:, 1]
+            rotation = rotations[number]
+            rotation[:, 0], rotation[:, 1], rotation[:, 2] = cosine * x + sine * y, cosine * y - sine * x, columns[:, 2]
         offset, turn = self._hand
         origins[-1], rotations[-1] = origin + offset @ rotation, turn.T @ rotation
         return LinkFrames(origins, rotations)
@@ -102,10 +102,9 @@ class ArmKinematics:
 
     def compute_jacobian(self, chain: LinkFrames) -> Array:
         """Compute base-frame Jacobians (6, 7, n) of the hand link, linear rows (m/rad) first, from link frames."""
-        axes = chain.rotations[:-1, :, 2]
-        levers = chain.origins[-1] - chain.origins[:-1]
-        columns = np.concatenate([np.cross(axes, levers, axis=1), axes], axis=1)
-        return np.asarray(columns.transpose(1, 0, 2))
+        (ax, ay, az), levers = chain.rotations[:-1, :, 2].swapaxes(0, 1), chain.origins[-1] - chain.origins[:-1]
+        lx, ly, lz = levers.swapaxes(0, 1)
+        return np.stack([ay * lz - az * ly, az * lx - ax * lz, ax * ly - ay * lx, ax, ay, az])
 
     def compute_hand_jacobians(self, joints: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
         """Compute base-frame Jacobians, positions and rotations of the hand link at arm joints (n, 7) in rad.

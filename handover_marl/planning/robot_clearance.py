@@ -181,10 +181,17 @@ def compute_arm_clearances(arm: ArmInWorld, joints: Array, spheres: Spheres) -> 
     # Expanded scalar products avoid an array of (n, capsules, k, 3) difference vectors.
     along = axes @ points.T - (axes * starts).sum(axis=-1)[..., None]
     squared = (axes**2).sum(axis=-1)[..., None]
-    share = np.clip(along / np.maximum(squared, _MIN_LENGTH), 0.0, 1.0)
-    from_start = (starts**2).sum(axis=-1)[..., None] - 2.0 * (starts @ points.T) + (points.T**2).sum(axis=0)
-    distances = np.sqrt(np.maximum(from_start - share * (2.0 * along - share * squared), 0.0))
-    return np.asarray((distances - spheres.radii - _RADII[:, None]).min(axis=(1, 2)))
+    share = along / np.maximum(squared, _MIN_LENGTH)
+    np.clip(share, 0.0, 1.0, out=share)
+    along *= 2.0
+    along -= share * squared
+    along *= share
+    distances = (starts**2).sum(axis=-1)[..., None] - 2.0 * (starts @ points.T) + (points.T**2).sum(axis=0)
+    distances -= along
+    np.sqrt(np.maximum(distances, 0.0, out=distances), out=distances)
+    distances -= spheres.radii
+    distances -= _RADII[:, None]
+    return np.asarray(distances.min(axis=(1, 2)))
 
 
 def compute_lowest_heights(arm: ArmInWorld, joints: Array) -> Array:

@@ -273,7 +273,9 @@ class GraspSelector:
         standoffs, goals, is_reached = self._solve_ik(world, joints, previous, self._batch > 0)
         costs = rough + self._compute_travel_times(standoffs, joints)
         costs = costs + self._compute_limit_margin_costs(standoffs, goals)
-        costs[~(is_reached & self._is_arm_clear(goals, bodies))] += _FORBIDDEN
+        is_usable = is_reached.copy()
+        is_usable[is_reached] = self._is_arm_clear(goals[is_reached], bodies)
+        costs[~is_usable] += _FORBIDDEN
         return costs, standoffs, goals
 
     def _solve_ik(
