@@ -201,7 +201,7 @@ class GaddpgReceiver(PhasedReceiver):
             # Loaded here so that it does not count as planning time.
             self._ik_stepper = make_ik_stepper(self.context.panda_urdf, self.context.panda)
         self.memory.reset()
-        self._start_timing()
+        self._reset_timing()
         self._start_approach()
 
     def act(self, observation: Observation) -> Action:

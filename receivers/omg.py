@@ -103,7 +103,7 @@ class OmgReceiver(PhasedReceiver):
             start = np.array(WAITING_JOINTS[:ARM_DOF])
             self._planner = Planner(self.context.panda_urdf, start, self.config)
             self._ik_solver = ThreadIkSolver(self.context.panda_urdf, self.context.panda)
-        self._start_timing()
+        self._reset_timing()
         self.has_planned, self.plan = False, None
 
     def act(self, observation: Observation) -> Action:

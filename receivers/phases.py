@@ -32,9 +32,9 @@ class PhasedReceiver(Receiver):
     def __init__(self, context: PolicyContext, wait: float | None) -> None:
         super().__init__(context)
         self._wait_ms = _WAIT_MS if wait is None else milliseconds_from_wait(wait)
-        self._start_timing()
+        self._reset_timing()
 
-    def _start_timing(self) -> None:
+    def _reset_timing(self) -> None:
         """Forget the commands of earlier episodes."""
         self._now_ms, self._until_ms = 0, math.inf
         self._retreat: list[npt.NDArray[np.float64]] = []

@@ -124,13 +124,13 @@ class Collector:
     Args:
         number: Number of the collector, which selects its receiver.
         args: Arguments of the training.
-        known: Number of episodes of earlier runs, part of the seed.
+        n_earlier_episodes: Number of episodes of earlier runs, part of the seed.
     """
 
-    def __init__(self, number: int, args: Args, known: int) -> None:
+    def __init__(self, number: int, args: Args, n_earlier_episodes: int) -> None:
         self.args, self.receiver = args, number % len(args.receivers)
         count, dataset = args.num_envs // args.workers, args.open_dataset()
-        seed, *seeds = spawn_seeds(1 + count, args.seed, number, known)
+        seed, *seeds = spawn_seeds(1 + count, args.seed, number, n_earlier_episodes)
         self.rng = np.random.default_rng(seed)
         self.features = OfferFeatures(make_policy_context(dataset, setup=args.setup))
         self.envs = handover_marl.vector_env(
@@ -204,20 +204,20 @@ def train(args: Args, folder: Path) -> Offers:
     path, offers = folder / OFFERS, None
     if path.exists():
         offers = read_samples(Offers, path)
-    first = known = 0 if offers is None else len(offers.status)
+    n_earlier_episodes = n_episodes = 0 if offers is None else len(offers.status)
     with ThreadPoolExecutor(args.workers) as pool:
-        collectors = list(pool.map(lambda number: Collector(number, args, first), range(args.workers)))
+        collectors = list(pool.map(lambda number: Collector(number, args, n_earlier_episodes), range(args.workers)))
         started = time.monotonic()
-        while offers is None or known < args.episodes:
-            network = None if offers is None else fit(offers, args, args.seed + known)
+        while offers is None or n_episodes < args.episodes:
+            network = None if offers is None else fit(offers, args, args.seed + n_episodes)
             parts = pool.map(Collector.collect, collectors, [network] * args.workers)
             found = join_samples([part for each in parts for part in each])
             offers = found if offers is None else join_samples([offers, found])
-            known = len(offers.status)
+            n_episodes = len(offers.status)
             write_arrays(path, offers._asdict())
             print(
-                f"{known} episodes, {(known - first) / (time.monotonic() - started):.1f} episodes/s: success of the "
-                f"last {len(found.status)} {found.successes.mean():.1%}",
+                f"{n_episodes} episodes, {(n_episodes - n_earlier_episodes) / (time.monotonic() - started):.1f} "
+                f"episodes/s: success of the last {len(found.status)} {found.successes.mean():.1%}",
                 flush=True,
             )
     for collector in collectors:

@@ -94,7 +94,7 @@ def train_pixels(args: Args, views: list[SegmentationViews], held_out: list[Segm
     learner = SegmentationLearner(SegmentationNetwork(), args.updates, torch.device(args.device))
     run_updates(learner, batches, args.updates, args.batch_size, args.seed)
     print_shares(f"{len(held_out_batches)} images", learner.evaluate(held_out_batches))
-    write_network_weights(path, learner.averaged, {"made by": describe_origin("train_segmentation", args)})
+    write_network_weights(path, learner.averaged_network, {"made by": describe_origin("train_segmentation", args)})
 
 
 def train_points(
@@ -112,7 +112,7 @@ def train_points(
     )
     run_updates(learner, clouds, args.point_updates, args.point_batch_size, args.seed)
     print_shares(f"{len(held_out_clouds)} clouds", learner.evaluate(held_out_clouds))
-    network.points = learner.averaged
+    network.points = learner.averaged_network
 
 
 def run_updates(
@@ -132,8 +132,8 @@ def main(args: Args) -> Path:
     """Train both parts of the network; return the path of its weights."""
     args = args.resolve_setup()
     data = args.open_dataset(args.robot)
-    free = ("workers", "device", "point_updates", "point_batch_size")
-    folder = open_run_folder(args.out, args, args.resume, data.name, free)
+    mutable_args = ("workers", "device", "point_updates", "point_batch_size")
+    folder = open_run_folder(args.out, args, args.resume, data.name, mutable_args)
     scenes = data.list_scenes(args.setup, "train")[:: args.stride]
     views, held_out = (load_views(args, select(scenes)) for select in (select_training_scenes, select_held_out_scenes))
     torch.set_num_threads(1)

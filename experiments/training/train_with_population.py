@@ -75,10 +75,10 @@ class Args(SetupArgs):
         if self.partner and self.method != "best_response":
             raise OptionError(f"partner must be left out with method {self.method}, got {self.partner!r}")
 
-    def open_folder(self, name: str, free: tuple[str, ...]) -> Path:
-        """Make the folder `name` in `out`, or check that it was made with these arguments except `free`; return it."""
+    def open_folder(self, name: str, mutable_args: tuple[str, ...]) -> Path:
+        """Make the folder `name` in `out`, or check that only `mutable_args` of its arguments differ; return it."""
         path = self.out / name
-        return open_run_folder(path, self, path.exists(), self.open_dataset().name, free)
+        return open_run_folder(path, self, path.exists(), self.open_dataset().name, mutable_args)
 
 
 def train_policy(args: Args, agent: _Agent, partner: str, path: Path, seed: int, share: float = 1.0) -> Path:

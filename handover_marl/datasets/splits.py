@@ -69,13 +69,13 @@ def get_prescribed_side(scene: int) -> Literal["left", "right"] | None:
     return None if scene % 5 == 4 else "right" if scene % 5 < 2 else "left"
 
 
-def choose_scenes(split_ids: tuple[int, ...], scenes: Iterable[int] | None, where: str) -> tuple[int, ...]:
+def choose_scenes(split_ids: tuple[int, ...], scenes: Iterable[int] | None, split_label: str) -> tuple[int, ...]:
     """Return `scenes` sorted and without repetitions, or all numbers `split_ids` of a split if `scenes` is None.
 
-    Raise `SceneError`, which names the split by `where`, if a scene is not in the split or there is no scene.
+    Raise `SceneError`, which names the split by `split_label`, if a scene is not in the split or there is no scene.
     """
     if not split_ids:
-        raise SceneError(f"{where} has no scenes; choose another split, or a data set with more scenes")
+        raise SceneError(f"{split_label} has no scenes; choose another split, or a data set with more scenes")
     if scenes is None:
         return split_ids
     try:
@@ -86,11 +86,11 @@ def choose_scenes(split_ids: tuple[int, ...], scenes: Iterable[int] | None, wher
     foreign = [scene for scene in wanted if scene not in known]
     if foreign:
         raise SceneError(
-            f"scene {foreign[0]} is not in {where}, which has {len(split_ids)} scenes, beginning with "
+            f"scene {foreign[0]} is not in {split_label}, which has {len(split_ids)} scenes, beginning with "
             f"{', '.join(map(str, split_ids[:5]))}; choose scenes of this split or another setup or split"
         )
     if not wanted:
-        raise SceneError(f"scenes must not be empty; leave it out to run all {len(split_ids)} of {where}")
+        raise SceneError(f"scenes must not be empty; leave it out to run all {len(split_ids)} of {split_label}")
     return tuple(wanted)
 
 

@@ -156,10 +156,10 @@ class RewardSource:
 
 def _list_parts(rewards: RewardLike, weight: float = 1.0) -> list[tuple[float, Any]]:
     """Return pairs (weight, reward) whose weighted sum is `rewards`; combinations are resolved into their parts."""
-    found = resolve_rewards(rewards)
-    if not isinstance(found, CombinedRewards):
-        return [(weight, found)]
-    return [pair for own, part in found.parts for pair in _list_parts(part, weight * own)]
+    reward = resolve_rewards(rewards)
+    if not isinstance(reward, CombinedRewards):
+        return [(weight, reward)]
+    return [pair for own, part in reward.parts for pair in _list_parts(part, weight * own)]
 
 
 class CustomRewardSource:
@@ -184,29 +184,29 @@ class CustomRewardSource:
             if not self._names:
                 declared = getattr(function, "terms", None)
                 # A copy, so that this call leaves nothing in the function's memory.
-                found = self._run(copy.deepcopy(function), transition) if declared is None else declared
-                self._check_agents(found)
-                self._names = {agent: list(found.get(agent, ())) for agent in AGENTS}
+                terms = self._run(copy.deepcopy(function), transition) if declared is None else declared
+                self._check_agents(terms)
+                self._names = {agent: list(terms.get(agent, ())) for agent in AGENTS}
         return self._names
 
     def compute(self, rows: AnyIndices, step: StepData) -> dict[str, ArrayTerms]:
         """Return the values (r,) of the terms by agent and name; 0 for terms that the function does not return."""
         values = {agent: {name: np.zeros(len(rows)) for name in names} for agent, names in self._names.items()}
         for number, (row, transition) in enumerate(zip(rows.tolist(), step.read_transitions(), strict=True)):
-            found = self._run(self._functions[row], transition)
-            self._check_agents(found)
-            for agent, own in found.items():
+            terms = self._run(self._functions[row], transition)
+            self._check_agents(terms)
+            for agent, own in terms.items():
                 for name, value in own.items():
-                    where = f"term {name!r} of the {agent} in reward {self._name!r}"
+                    label = f"term {name!r} of the {agent} in reward {self._name!r}"
                     if name not in values[agent]:
                         raise RewardError(
-                            f"{where} must be one of {', '.join(values[agent]) or 'none'}, the terms of the first "
+                            f"{label} must be one of {', '.join(values[agent]) or 'none'}, the terms of the first "
                             "call; return it in every step, or declare it with @declare_terms"
                         )
                     if np.ndim(value) or not isinstance(value, (int, float, np.number, np.bool_, np.ndarray)):
-                        raise RewardError(f"{where} must be a single number, got {value!r}; convert it with float()")
+                        raise RewardError(f"{label} must be a single number, got {value!r}; convert it with float()")
                     if not math.isfinite(value):
-                        raise RewardError(f"{where} must be finite, got {value!r}; check divisions and empty hands")
+                        raise RewardError(f"{label} must be finite, got {value!r}; check divisions and empty hands")
                     values[agent][name][number] = value
         return {
             agent: {name: self._arrays.asarray(value) for name, value in own.items()} for agent, own in values.items()
@@ -220,11 +220,11 @@ class CustomRewardSource:
         except (Exception, SystemExit) as error:  # code of the user
             raise RewardError(f"reward {self._name!r} failed ({type(error).__name__}: {error})") from error
 
-    def _check_agents(self, found: Any) -> None:
+    def _check_agents(self, terms: Any) -> None:
         """Check that a user-defined reward returned terms by agent and name, or declared names of terms by agent."""
-        is_by_agent = isinstance(found, Mapping) and not found.keys() - set(AGENTS)
-        if not is_by_agent or any(isinstance(own, str) or not hasattr(own, "__iter__") for own in found.values()):
+        is_by_agent = isinstance(terms, Mapping) and not terms.keys() - set(AGENTS)
+        if not is_by_agent or any(isinstance(own, str) or not hasattr(own, "__iter__") for own in terms.values()):
             raise RewardError(
-                f"terms of reward {self._name!r} must be a dict for {' and '.join(AGENTS)}, got {found!r}; return "
+                f"terms of reward {self._name!r} must be a dict for {' and '.join(AGENTS)}, got {terms!r}; return "
                 '{"receiver": {"name": value}, "giver": {}}'
             )

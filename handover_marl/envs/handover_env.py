@@ -374,7 +374,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
             until = end
             if partner is not None:
                 actions[partner.agent] = partner.act()
-                until = min(end, partner.due)
+                until = min(end, partner.next_decision_step)
             episode.advance(actions[RECEIVER], until - episode.steps, actions[GIVER])
 
     def _observe(self) -> Observations:

@@ -51,7 +51,7 @@ _STEPS_PER_SECOND, _SAME_DURATION = 1000.0, 1e-4
 
 
 @dataclass(frozen=True, eq=False)
-class Steps:
+class StepBatch:
     """Last control step of r episodes, as arrays with the episode as first axis.
 
     Attributes:
@@ -76,29 +76,29 @@ class Steps:
         return get_namespace(steps).round(steps) / _STEPS_PER_SECOND
 
 
-def compute_outcome(outcome: EpisodeStatus, steps: Steps) -> AnyArray:
+def compute_outcome(outcome: EpisodeStatus, steps: StepBatch) -> AnyArray:
     """Return (r,) 1 in episodes whose status after the step has the bit `outcome`, else 0."""
     return widen((steps.status & int(outcome)) != 0)
 
 
-def compute_distance_potential(steps: Steps, states: AnyArray) -> AnyArray:
-    """Return (r,) 1 minus the distance (m) from fingertips to object, 1 if grasped, in `states` (r, 19) of `Steps`."""
+def compute_distance_potential(steps: StepBatch, states: AnyArray) -> AnyArray:
+    """Return (r,) 1 minus the distance (m) from fingertips to object, 1 if grasped, in stored states (r, 19)."""
     fingertips = transform_points(states[:, _GRIPPER], make_constant(FINGERTIPS, states))
     is_grasped = states[:, _GRASPED]
     return 1.0 - (1.0 - is_grasped) * compute_lengths(fingertips - states[:, _OBJECT])
 
 
-def compute_grasp_potential(steps: Steps, states: AnyArray) -> AnyArray:
-    """Return (r,) 1 where both fingers touch the object, else 0, in stored states (r, 19) of `Steps`."""
+def compute_grasp_potential(steps: StepBatch, states: AnyArray) -> AnyArray:
+    """Return (r,) 1 where both fingers touch the object, else 0, in stored states (r, 19)."""
     return states[:, _GRASPED]
 
 
-def compute_goal_potential(steps: Steps, states: AnyArray) -> AnyArray:
-    """Return (r,) 1 minus the distance (m) from hand link to goal, 0 unless grasped, in `states` (r, 19) of `Steps`."""
+def compute_goal_potential(steps: StepBatch, states: AnyArray) -> AnyArray:
+    """Return (r,) 1 minus the distance (m) from hand link to goal, 0 unless grasped, in stored states (r, 19)."""
     return states[:, _GRASPED] * (1.0 - compute_lengths(states[:, _HAND_LINK] - steps.goal))
 
 
-def compute_shaping(potential: Callable[[Steps, AnyArray], AnyArray], steps: Steps) -> AnyArray:
+def compute_shaping(potential: Callable[[StepBatch, AnyArray], AnyArray], steps: StepBatch) -> AnyArray:
     """Return the shaping reward (r,) of each step: gamma times the potential after it, minus the potential before it.
 
     The potential after a step that terminates the episode is 0.
@@ -108,27 +108,27 @@ def compute_shaping(potential: Callable[[Steps, AnyArray], AnyArray], steps: Ste
     return steps.gamma * goes_on * potential(steps, steps.states[:, -1]) - potential(steps, steps.states[:, -2])
 
 
-def compute_effort(steps: Steps) -> AnyArray:
+def compute_effort(steps: StepBatch) -> AnyArray:
     """Return (r,) the squared speed at which the wrist's displacement changes, times the duration (m^2/s)."""
     change = steps.states[:, -1, _DISPLACEMENT] - steps.states[:, -2, _DISPLACEMENT]
     return compute_lengths(change) ** 2 / steps.duration
 
 
-def compute_discomfort(steps: Steps) -> AnyArray:
+def compute_discomfort(steps: StepBatch) -> AnyArray:
     """Return (r,) the wrist's displacement (m) plus a third of its rotation (rad), times the duration (s)."""
     deviation = widen(steps.state["deviation"])
     return (compute_lengths(deviation[:, 1:4]) + compute_lengths(deviation[:, 4:]) / 3.0) * steps.duration
 
 
-def compute_path(position: slice, steps: Steps) -> AnyArray:
+def compute_path(position: slice, steps: StepBatch) -> AnyArray:
     """Return the distances (r,) in m between the positions before and after each step; 0 if a position is NaN.
 
-    `position` has the columns of the positions in the stored states of `Steps`.
+    `position` has the columns of the positions in the stored states of `StepBatch`.
     """
     return _replace_nan(compute_lengths(steps.states[:, -1, position] - steps.states[:, -2, position]))
 
 
-def compute_jerk(position: slice, steps: Steps) -> AnyArray:
+def compute_jerk(position: slice, steps: StepBatch) -> AnyArray:
     """Return (r,) the norm of the third difference of positions, in columns `position`, over duration^2 (m/s^2).
 
     It is 0 if one of the four positions is NaN, or if the three steps between them differ in duration.
@@ -140,7 +140,7 @@ def compute_jerk(position: slice, steps: Steps) -> AnyArray:
     return _replace_nan(xp.where(is_regular, jerk, 0.0))
 
 
-def compute_clearance(steps: Steps) -> AnyArray:
+def compute_clearance(steps: StepBatch) -> AnyArray:
     """Return (r,) the duration times (min(d, 0.1) - 0.1), d the distance (m) of gripper and hand; 0 without a hand."""
     distances, is_present = compute_hand_distances(steps.state), steps.state["hand_present"][:, 0] != 0.0
     missing = distances.clip(max=CLEARANCE_MARGIN) - CLEARANCE_MARGIN
@@ -148,7 +148,7 @@ def compute_clearance(steps: Steps) -> AnyArray:
 
 
 def compute_hand_distances(state: Mapping[str, AnyArray]) -> AnyArray:
-    """Return (r,) the distance (m) of the open gripper's boxes from the nearest hand joint, in a `state` of `Steps`."""
+    """Return (r,) the distance (m) of the open gripper's boxes from the nearest hand joint, in a whole state."""
     points = inverse_transform_points(state["gripper_pose"][:, None], state["hand_keypoints"])
     xp, points, centers, halves = as_arrays(points, GRIPPER_BOX_CENTERS, GRIPPER_BOX_HALF_SIZES)
     return xp.min(compute_box_distances(points[:, :, None] - centers, halves), axis=(1, 2)).clip(0.0)
@@ -160,7 +160,7 @@ def _replace_nan(values: AnyArray) -> AnyArray:
 
 
 #: Functions from the last control steps to values (r,) of reward terms, by name; units: docs/reference/rewards.md.
-TERMS: dict[str, Callable[[Steps], AnyArray]] = {
+TERMS: dict[str, Callable[[StepBatch], AnyArray]] = {
     "success": functools.partial(compute_outcome, EpisodeStatus.SUCCESS),
     "contact": functools.partial(compute_outcome, EpisodeStatus.HUMAN_CONTACT),
     "drop": functools.partial(compute_outcome, EpisodeStatus.OBJECT_DROP),
@@ -273,12 +273,12 @@ class WeightedRewardSource:
         if self._needs_state:
             states = self._xp.concat([states[:, 1:], self._summarize(state)[:, None]], axis=1)
             self._states[rows] = states
-        steps = Steps(states, state, step.status, self._goal, self._gamma)
+        steps = StepBatch(states, state, step.status, self._goal, self._gamma)
         values = {name: TERMS[name](steps) for name in self._names}
         return {agent: {name: own[name] * values[name] for name in own} for agent, own in self._weights.items()}
 
     def _summarize(self, state: Mapping[str, AnyArray]) -> AnyArray:
-        """Convert a state, as `StepData.read_state` returns it, to the form (r, 19) of `Steps.states`, float64.
+        """Convert a state, as `StepData.read_state` returns it, to the form (r, 19) of `StepBatch.states`, float64.
 
         Columns: time (s), gripper pose (7), object position (3), whether the object is grasped, wrist position (3), its
         displacement from the recording (3), and whether the object is held out.

@@ -243,7 +243,7 @@ class CameraSensor:
         self.has_latency = is_late or random.latency > 0.0 or self._period > 1
         self._seed = 0
         # Camera of the current episode; None before its first use.
-        self._drawn: CameraDraw | None = None
+        self._episode_camera: CameraDraw | None = None
         self._scene: Scene | None = None
         self._renderer: str | None = None
         self._ray_camera: RayCamera | None = None
@@ -257,7 +257,7 @@ class CameraSensor:
         if scene is not self._scene:
             self._ray_camera = None
         self._scene = scene
-        self._last = self._drawn = None
+        self._last = self._episode_camera = None
         self._history.clear()
         if self.has_latency:
             self.record_snapshot(world, 0)
@@ -265,7 +265,7 @@ class CameraSensor:
     def seed(self, seed: int) -> None:
         """Set the seed of subsampling, noise and randomization, which is 0 by default."""
         self._seed = seed
-        self._last = self._drawn = None
+        self._last = self._episode_camera = None
 
     def record_snapshot(self, world: World, steps: int) -> None:
         """Record the joint positions of `world` after `steps` physics steps, if the camera takes an image then."""
@@ -289,7 +289,7 @@ class CameraSensor:
         clouds = self._compute_clouds(image, world, count_clouds(obs_mode))
         if parts & {POINTCLOUD, SCENE_POINTCLOUD}:
             named = zip(CLOUDS, clouds, strict=False)
-            observation |= {f"{name}_{key}": self._subsample(cloud, steps, stream) for (key, _, stream), cloud in named}
+            observation |= {f"{name}_{key}": self._subsample(cloud, steps, number) for (key, _, number), cloud in named}
         if FULL_POINTCLOUD in parts:
             observation[f"{name}_object_cloud"], observation[f"{name}_hand_cloud"] = (
                 _pad_cloud(cloud, self._camera.n_pixels) for cloud in clouds[:2]
@@ -349,13 +349,13 @@ class CameraSensor:
 
     def _draw_camera(self) -> CameraDraw:
         """Return the camera of the current episode, which depends on the seed, the scene and the camera's name."""
-        if self._drawn is None:
-            self._drawn = CameraDraw(self._camera, self._config.noise, None)
+        if self._episode_camera is None:
+            self._episode_camera = CameraDraw(self._camera, self._config.noise, None)
             if self._randomization is not None and self._scene is not None:
                 name = int.from_bytes(self._camera_config.name.encode(), "big")
                 rng = np.random.default_rng((self._seed, self._scene.info.scene_id, name))
-                self._drawn = self._randomization.draw(self._camera, self._config.noise, rng)
-        return self._drawn
+                self._episode_camera = self._randomization.draw(self._camera, self._config.noise, rng)
+        return self._episode_camera
 
     def _render(self, world: World, color: bool, content: _ImageContent, camera: Pinhole) -> CameraImage:
         if self._scene is None:
@@ -375,17 +375,17 @@ class CameraSensor:
             return self._ray_camera.render(snapshot, color, camera)
         return self._ray_camera.render_targets(snapshot, content == _ImageContent.OBJECTS, camera)
 
-    def _subsample(self, cloud: Cloud, steps: int, stream: int) -> Cloud:
+    def _subsample(self, cloud: Cloud, steps: int, stream_id: int) -> Cloud:
         """Return `N_POINTS` points of a cloud (n, 3): a random subset in image order, or all points and zeros."""
         if len(cloud) > N_POINTS:
-            chosen = self._make_rng(cloud, steps, stream).choice(len(cloud), N_POINTS, replace=False)
+            chosen = self._make_rng(cloud, steps, stream_id).choice(len(cloud), N_POINTS, replace=False)
             return cloud[np.sort(chosen)]
         return _pad_cloud(cloud, N_POINTS)
 
-    def _make_rng(self, content: npt.NDArray[np.float32], steps: int, stream: int) -> np.random.Generator:
-        """Return a random generator, seeded by the camera's seed, `steps`, `stream` and the bytes of `content`."""
+    def _make_rng(self, content: npt.NDArray[np.float32], steps: int, stream_id: int) -> np.random.Generator:
+        """Return a random generator, seeded by the camera's seed, `steps`, `stream_id` and the bytes of `content`."""
         digest = hashlib.sha256(content.tobytes()).digest()
-        return np.random.default_rng((self._seed, steps, stream, int.from_bytes(digest[:8], "big")))
+        return np.random.default_rng((self._seed, steps, stream_id, int.from_bytes(digest[:8], "big")))
 
 
 def _select_content(parts: frozenset[str]) -> _ImageContent:

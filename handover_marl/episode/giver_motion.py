@@ -17,8 +17,8 @@ from handover_marl.geometry.arrays import (
     AnyIndices,
     AnyIntegers,
     ArrayFactory,
+    GrowableArray,
     Indices,
-    RowBank,
     get_namespace,
     is_tensor,
     make_constant,
@@ -90,9 +90,9 @@ class TensorRecordings:
     def __init__(self, count: int, arrays: ArrayFactory) -> None:
         self._firsts = arrays.zeros(count, "int64")
         self._first_by_scene: dict[int, int] = {}
-        self._hand, self._present = RowBank(arrays, (HAND_DOF,), "float32"), RowBank(arrays, (), "bool")
-        self._objects = RowBank(arrays, (MAX_OBJECTS, OBJECT_DOF), "float32")
-        self._poses = RowBank(arrays, (2, 7), "float32")
+        self._hand, self._present = GrowableArray(arrays, (HAND_DOF,), "float32"), GrowableArray(arrays, (), "bool")
+        self._objects = GrowableArray(arrays, (MAX_OBJECTS, OBJECT_DOF), "float32")
+        self._poses = GrowableArray(arrays, (2, 7), "float32")
 
     def set_scene(self, row: int, scene: Scene) -> None:
         """Set the scene that the giver with index `row` plays back, and copy it to the device unless it is there."""
@@ -122,7 +122,7 @@ class GiverState(NamedTuple):
     Attributes:
         clock: Playback time in frames, which need not be a whole number.
         frame: Number of the current frame: `clock`, rounded, and at most the last frame.
-        rate: Playback rate minus 1.
+        rate_offset: Playback rate minus 1.
         opening_progress: Progress of the hand's opening after a voluntary release, 0 to 1.
         offset: Displacement (m) and rotation vector (rad) of the wrist, (..., 2, 3).
         velocity: Velocity of this offset (m/s, rad/s), (..., 2, 3).
@@ -133,7 +133,7 @@ class GiverState(NamedTuple):
 
     clock: AnyArray
     frame: AnyArray
-    rate: AnyArray
+    rate_offset: AnyArray
     opening_progress: AnyArray
     offset: AnyArray
     velocity: AnyArray
@@ -181,7 +181,7 @@ class GiverMotion:
         self.state = GiverState(
             clock=arrays.zeros(count),
             frame=arrays.zeros(count, "int64"),
-            rate=arrays.zeros(count),
+            rate_offset=arrays.zeros(count),
             opening_progress=arrays.zeros(count),
             offset=arrays.zeros((count, 2, 3)),
             velocity=arrays.zeros((count, 2, 3)),
@@ -212,7 +212,7 @@ class GiverMotion:
     def deviation(self) -> AnyArray:
         """(n, 7) playback rates minus 1, wrist displacements (m) and rotation vectors (rad), float32."""
         xp, state = self._arrays.xp, self.state
-        return xp.astype(xp.concat([state.rate[:, None], state.offset.reshape(-1, 6)], axis=1), xp.float32)
+        return xp.astype(xp.concat([state.rate_offset[:, None], state.offset.reshape(-1, 6)], axis=1), xp.float32)
 
     def read_previews(self, rows: AnyIndices) -> tuple[AnyArray, AnyArray]:
         """Return the recorded world poses of the givers `rows` (r,) at the k times ahead in `GiverConfig.preview`.
@@ -263,7 +263,7 @@ class GiverMotion:
         states = GiverState(
             clock=clocks,
             frame=frames,
-            rate=rates,
+            rate_offset=rates,
             opening_progress=progress,
             offset=offsets,
             velocity=velocities,
@@ -293,10 +293,10 @@ class GiverMotion:
             steps: Number k of physics steps.
         """
         xp, clocks = self._arrays.xp, state.clock[:, None]
-        if not _is_any_set((state.rate != 0.0) | (targets != 0.0)):
+        if not _is_any_set((state.rate_offset != 0.0) | (targets != 0.0)):
             clocks = clocks + xp.astype(self._arrays.arange(steps) + 1, xp.float64)
             return self._arrays.zeros(clocks.shape), clocks
-        rates = ramp_rates(state.rate, targets, self._config.rate_change, steps)
+        rates = ramp_rates(state.rate_offset, targets, self._config.rate_change, steps)
         return rates, clocks + xp.cumsum(1.0 + rates, axis=1)
 
     def _open_hands(self, reference: ReferenceMotion, progress: AnyArray, is_opening: AnyArray) -> AnyArray:
@@ -347,16 +347,16 @@ def requests_release(giver_actions: AnyArray) -> AnyArray:
     return giver_actions[..., 7] > 0.5
 
 
-def count_steps_until_pick_up(pick_up: AnyArray, now: AnyArray, frames: AnyArray) -> AnyArray:
+def count_steps_until_pick_up(pick_up_frames: AnyArray, current_frames: AnyArray, frames: AnyArray) -> AnyArray:
     """Count, for each of r givers, how many of the next k physics steps start before the object is picked up, (r,).
 
     Args:
-        pick_up: Frames (r,) in which the objects are picked up.
-        now: Current frames (r,).
+        pick_up_frames: Frames (r,) in which the objects are picked up.
+        current_frames: Current frames (r,).
         frames: Frames (r, k) after each step.
     """
     xp = get_namespace(frames)
-    return xp.sum(xp.concat([now[:, None], frames[:, :-1]], axis=1) < pick_up[:, None], axis=1)
+    return xp.sum(xp.concat([current_frames[:, None], frames[:, :-1]], axis=1) < pick_up_frames[:, None], axis=1)
 
 
 def ramp_rates(rates: AnyArray, targets: AnyArray, max_slope: float, steps: int) -> AnyArray:

@@ -182,8 +182,8 @@ class EpisodeAgent:
 
     Attributes:
         action: Action that is held; empty before the first decision.
-        pending: Action that was decided and is not in effect yet, or None.
-        due: Physics step from which on the policy is to be called again.
+        pending_action: Action that was decided and is not in effect yet, or None.
+        next_decision_step: Physics step from which on the policy is to be called again.
         planning_time: Wall-clock time of the last call of the policy (s), without rendering.
     """
 
@@ -196,9 +196,9 @@ class EpisodeAgent:
         inference_time: InferenceTime = None,
     ) -> None:
         self.agent, self.action = agent, np.zeros(0, dtype=np.float32)
-        self.due, self.planning_time = 0, 0.0
-        self.pending: Action | None = None
-        self._effective, self._inference_time = 0, inference_time
+        self.next_decision_step, self.planning_time = 0, 0.0
+        self.pending_action: Action | None = None
+        self._effect_step, self._inference_time = 0, inference_time
         self._episode, self._policy, self._seed = episode, policy, seed
         self._is_giver = agent == "giver"
         self._giver_space, self._objects = giver_action_space(episode.config.giver), episode.scene.info.object_names
@@ -215,21 +215,21 @@ class EpisodeAgent:
     @property
     def next_event(self) -> int:
         """Next physics step in which the policy is to be called, or a decided action takes effect."""
-        return self.due if self.pending is None else min(self.due, self._effective)
+        return self.next_decision_step if self.pending_action is None else self._effect_step
 
     def update(self) -> None:
         """Put a decided action into effect if its inference time has passed."""
-        if self.pending is not None and self._episode.steps >= self._effective:
-            self.action, self.pending = self.pending, None
+        if self.pending_action is not None and self._episode.steps >= self._effect_step:
+            self.action, self.pending_action = self.pending_action, None
 
     def act(self) -> Action:
         """Return the action for this physics step: call the policy if that is due, else return the held action."""
-        if self._episode.steps >= self.due:
+        if self._episode.steps >= self.next_decision_step:
             self.decide(self._episode.observe() if self.observes else {})
         return self.action
 
     def decide(self, state: Observation) -> None:
-        """Call the policy and hold its action until the step `due`; during the inference time it waits in `pending`.
+        """Call the policy; its action is held until `next_decision_step`, and pending during the inference time.
 
         Args:
             state: Full state as `Episode.observe` returns it now.
@@ -243,7 +243,7 @@ class EpisodeAgent:
         if not self._is_giver and not self.action.size:
             start_policy(self._policy, derive_receiver_seed(self._seed, observation), self._objects)
         started = time.perf_counter()
-        action, self.due = call_policy(self._policy, observation, episode.steps)
+        action, self.next_decision_step = call_policy(self._policy, observation, episode.steps)
         self.planning_time = time.perf_counter() - started
         found = check_giver_action(action, self._giver_space) if self._is_giver else check_receiver_action(action)
         if self._inference_time is None:
@@ -252,8 +252,8 @@ class EpisodeAgent:
         if not self.action.size:
             self.action = episode.world.read_agent_joints().robot.copy()
         passed = self.planning_time if self._inference_time == MEASURED else float(self._inference_time)
-        self.pending, self._effective = found, episode.steps + round(passed / TIME_STEP)
-        self.due = max(self.due, self._effective)
+        self.pending_action, self._effect_step = found, episode.steps + round(passed / TIME_STEP)
+        self.next_decision_step = max(self.next_decision_step, self._effect_step)
         self.update()
 
 
@@ -295,7 +295,7 @@ def run_episode(
     while not episode.status and episode.steps < end:
         held = robot.action
         robot.update()
-        deciding = [agent for agent in agents if episode.steps >= agent.due]
+        deciding = [agent for agent in agents if episode.steps >= agent.next_decision_step]
         state = episode.observe() if any(agent.observes for agent in deciding) else {}
         for agent in deciding:
             agent.decide(state)
@@ -312,7 +312,7 @@ def run_episode(
             callback.on_decision(episode, decision)
         start, event = episode.steps, min(end, *(agent.next_event for agent in agents))
         episode.advance(decision.receiver_action, event - start, decision.giver_action, step_hooks)
-        n_late += 0 if robot.pending is None else episode.steps - start
+        n_late += 0 if robot.pending_action is None else episode.steps - start
     for callback in callbacks:
         callback.on_end(episode)
     return n_late

@@ -99,9 +99,9 @@ class WarpSensors:
     def _observe_clouds(self, rows: AnyArray, states: WorldState, steps: AnyArray, camera: CameraConfig) -> Observation:
         xp, clouds, counts, pinhole = self._arrays.xp, {}, [], make_pinhole(camera)
         images = self._camera.render_targets(rows, states, SCENE_POINTCLOUD in self._parts, pinhole)
-        for key, label, stream in CLOUDS[: self._n_clouds]:
+        for key, label, stream_id in CLOUDS[: self._n_clouds]:
             counts.append(xp.sum(images.segmentation == int(label), axis=1))
-            pixels = self._camera.sample_pixels(images, label, N_POINTS, self._seeds[rows], steps, stream)
+            pixels = self._camera.sample_pixels(images, label, N_POINTS, self._seeds[rows], steps, stream_id)
             is_point = pixels < pinhole.n_pixels
             known_pixels = xp.where(is_point, pixels, 0)
             depth = xp.take_along_dim(images.depth, known_pixels, dim=1)

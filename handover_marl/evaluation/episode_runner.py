@@ -77,7 +77,7 @@ class EpisodeRunner:
         config, policies = self.config, (receiver or self.receiver, self.giver)
         passed = config.inference_time
         try:
-            late = run_episode(self.episode, *policies, seed=config.seed, callbacks=callbacks, inference_time=passed)
+            n_late = run_episode(self.episode, *policies, seed=config.seed, callbacks=callbacks, inference_time=passed)
         except (ActionError, OptionError, PolicyError) as error:
             giver = "" if self.giver is None else f" and giver {self.giver.name!r}"
             raise type(error)(f"receiver {self.receiver.name!r}{giver} in scene {task.scene_id}: {error}") from error
@@ -97,7 +97,7 @@ class EpisodeRunner:
             fingerprint=fingerprint,
             machine=self._machine,
             fluency=compute_fluency(trace),
-            late_s=round(late * TIME_STEP, 3) if has_clock else None,
+            late_s=round(n_late * TIME_STEP, 3) if has_clock else None,
             early_grab=has_early_grab(trace) if has_clock else None,
         )
         return result, tuple(encode(result, trace) for _, encode in self._recorders)

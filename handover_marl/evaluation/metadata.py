@@ -116,10 +116,10 @@ class ResultMetadata:
         optional = ("n_split_scenes", "inference_time")
         return {key: value for key, value in asdict(self).items() if value or key not in optional}
 
-    def describe_differences(self, other: "ResultMetadata", here: str, there: str) -> list[str]:
-        """Return a text for each field that differs, "seed '0' in A, '1' in B" if `here` is "in A", `there` "in B"."""
+    def describe_differences(self, other: "ResultMetadata", location: str, other_location: str) -> list[str]:
+        """Return a text for each field that differs: "seed '0' in A, '1' in B" for the locations "in A" and "in B"."""
         return [
-            f"{key.replace('_', ' ')} {value!r} {here}, {vars(other)[key]!r} {there}"
+            f"{key.replace('_', ' ')} {value!r} {location}, {vars(other)[key]!r} {other_location}"
             for key, value in vars(self).items()
             if value != vars(other)[key]
         ]

@@ -44,7 +44,7 @@ _SINGLE_SCENE = (
 )
 
 
-def _play(
+def _simulate(
     runner: EpisodeRunner, scene: Scene, until: int | Callable[[], bool] | None = None, *callbacks: EpisodeCallback
 ) -> int:
     """Simulate a scene to its end, for a number of steps, or until a predicate holds; return the number of steps."""
@@ -129,17 +129,17 @@ def render_scene(
 
     def record_frames(steps: Sequence[int]) -> list[Picture]:
         recorder = FrameRecorder(steps, draw, execution.progress)
-        _play(runner, scene, until, recorder)
+        _simulate(runner, scene, until, recorder)
         return recorder.frames
 
     if suffix == ".html":
         recorder = ReplayRecorder(runner.receiver)
-        _play(runner, scene, until, recorder)
+        _simulate(runner, scene, until, recorder)
         facts = format_replay_facts(config, runner.dataset.describe_models(scene_id))
         content = build_replay_page(recorder, facts, camera).encode()
     elif suffix == ".png":
         # Simulated twice: the steps of the key frames are known only after the episode's end.
-        end = _play(runner, scene) if until is None else until
+        end = _simulate(runner, scene) if until is None else until
         steps = np.linspace(0, end, key_frames).round().astype(int).tolist()
         content = encode_grid(record_frames(steps)[:key_frames], _GRID_COLUMNS)
     else:

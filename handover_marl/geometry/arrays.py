@@ -196,7 +196,7 @@ def make_tensor_factory(device: Any) -> ArrayFactory:
     return ArrayFactory(xp, xp.device(device))
 
 
-class RowBank:
+class GrowableArray:
     """Array of rows of one shape that grows: its capacity is at least doubled whenever it is full.
 
     Args:

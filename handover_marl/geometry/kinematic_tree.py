@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.errors import OptionError, SimulationError
 from handover_marl.execution.reading import cached_by_file
-from handover_marl.geometry.arrays import AnyArray, ArrayFactory, RowBank, get_namespace, make_constant
+from handover_marl.geometry.arrays import AnyArray, ArrayFactory, GrowableArray, get_namespace, make_constant
 from handover_marl.geometry.model_files.urdf_xml import parse_urdf, read_attribute
 from handover_marl.geometry.poses import IDENTITY, transform_points
 from handover_marl.geometry.rotations import quaternions_from_matrices, rotate_points
@@ -60,17 +60,17 @@ class TreeConstants(NamedTuple):
 
     Attributes:
         offsets: Origins (..., L, 3) of the joints in the parents' frames (m).
-        turns: Orientations (..., L, 3, 3) of the joints in the parents' frames.
+        rotations: Orientations (..., L, 3, 3) of the joints in the parents' frames.
         cross: Cross-product matrices (..., L, 3, 3) of the axes of revolute joints, else zeros.
         cross_squared: Squares (..., L, 3, 3) of these matrices.
-        slides: Axes (..., L, 3) of prismatic joints in the parents' frames, else zeros.
+        prismatic_axes: Axes (..., L, 3) of prismatic joints in the parents' frames, else zeros.
     """
 
     offsets: AnyArray
-    turns: AnyArray
+    rotations: AnyArray
     cross: AnyArray
     cross_squared: AnyArray
-    slides: AnyArray
+    prismatic_axes: AnyArray
 
 
 class KinematicTree:
@@ -96,13 +96,13 @@ class KinematicTree:
         self.columns = np.where(is_moving, np.cumsum(is_moving) - 1, self.n_dof).astype(np.int64)
         # Reshaped for models without joints.
         offsets = np.array([joint.offset for joint in joints]).reshape(-1, 3)
-        turns = np.array([joint.rotation for joint in joints]).reshape(-1, 3, 3)
+        rotations = np.array([joint.rotation for joint in joints]).reshape(-1, 3, 3)
         axes = np.array([joint.axis for joint in joints]).reshape(-1, 3)
         is_revolute = np.array([joint.kind in REVOLUTE for joint in joints], dtype=bool)[:, None]
         is_prismatic = np.array([joint.kind == "prismatic" for joint in joints], dtype=bool)[:, None]
         cross = np.cross(np.eye(3), (axes * is_revolute)[:, None, :])
-        slides = (turns @ (axes * is_prismatic)[..., None])[..., 0]
-        self.constants = TreeConstants(offsets, turns, cross, cross @ cross, slides)
+        prismatic_axes = (rotations @ (axes * is_prismatic)[..., None])[..., 0]
+        self.constants = TreeConstants(offsets, rotations, cross, cross @ cross, prismatic_axes)
         parents = np.array([joint.parent for joint in joints], dtype=np.int64)
         depths: list[int] = []
         for parent in parents.tolist():
@@ -168,8 +168,8 @@ def compute_tree_frames(
     xp = get_namespace(values)
     sines, cosines = xp.sin(values)[..., None, None], xp.cos(values)[..., None, None]
     identity = make_constant((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), values).reshape(3, 3)
-    rotations = constants.turns @ (identity + sines * constants.cross + (1.0 - cosines) * constants.cross_squared)
-    origins = constants.offsets + values[..., None] * constants.slides
+    rotations = constants.rotations @ (identity + sines * constants.cross + (1.0 - cosines) * constants.cross_squared)
+    origins = constants.offsets + values[..., None] * constants.prismatic_axes
     for links, parents in levels:
         carried = rotations[..., parents, :, :]
         origins[..., links, :] = origins[..., parents, :] + (carried @ origins[..., links, :, None])[..., 0]
@@ -240,7 +240,7 @@ def compute_link_trajectory(
     return transform_points(base, origins), rotate_points(base[3:], np.eye(3)).T @ rotations
 
 
-class TreeBank:
+class TreeBatch:
     """Kinematic trees of several models on one device; the models have the same joints, but links of any size.
 
     Args:
@@ -252,7 +252,7 @@ class TreeBank:
         self._noun, self._arrays = noun, arrays
         self._numbers: dict[tuple[Path, int], int] = {}
         self._structure: list[npt.NDArray[np.int_]] = []
-        self._constants: list[RowBank] = []
+        self._constants: list[GrowableArray] = []
         self._levels: Sequence[tuple[AnyArray, AnyArray]] = ()
 
     def add(self, urdf: Path) -> int:
@@ -269,7 +269,7 @@ class TreeBank:
         model (rad, m), float64.
         """
         xp = self._arrays.xp
-        constants = TreeConstants(*(bank.rows[numbers][:, None] for bank in self._constants))
+        constants = TreeConstants(*(array.rows[numbers][:, None] for array in self._constants))
         values = xp.concat([joints, xp.zeros_like(joints[..., :1])], axis=-1)[..., self._columns]
         return compute_tree_frames(constants, self._levels, values)
 
@@ -278,7 +278,7 @@ class TreeBank:
         structure = [tree.columns, *(part for level in tree.levels for part in level)]
         if not self._constants:
             self._structure = structure
-            self._constants = [RowBank(arrays, part.shape, "float64") for part in tree.constants]
+            self._constants = [GrowableArray(arrays, part.shape, "float64") for part in tree.constants]
             self._columns = arrays.asarray(tree.columns)
             self._levels = [(arrays.asarray(links), arrays.asarray(parents)) for links, parents in tree.levels]
         same = len(structure) == len(self._structure)
@@ -287,5 +287,5 @@ class TreeBank:
                 f"{urdf}: all {self._noun} must have the same joints with backend='warp', this one has others; use "
                 "backend='threads'"
             )
-        (number,) = {bank.extend(part) for bank, part in zip(self._constants, tree.constants, strict=True)}
+        (number,) = {array.extend(part) for array, part in zip(self._constants, tree.constants, strict=True)}
         return number

@@ -104,9 +104,9 @@ class CustomFeatures(ArrayFeatures):
         if not callable(choice):
             raise OptionError(f"{FEATURES} must be a name, a class or a function, got {choice!r}")
         self.name, self._arrays = name or _get_name(choice), arrays
-        self._what = f"{FEATURES} {self.name!r}"
+        self._label = f"{FEATURES} {self.name!r}"
         self._functions = _make_instances(FEATURES, agent, choice, context, count)
-        self.size = _check_size(self._what, getattr(self._functions[0], "size", None), "features")
+        self.size = _check_size(self._label, getattr(self._functions[0], "size", None), "features")
 
     def reset(self, row: int) -> None:
         """Call `reset` of the features of the episode at index `row`, if they have this method."""
@@ -117,7 +117,7 @@ class CustomFeatures(ArrayFeatures):
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return the feature vectors (r, size), float32, of the episodes with indices `rows`."""
         found = [
-            _check_vector(self._what, _run(self._what, self._functions[row], one), self.size)
+            _check_vector(self._label, _run(self._label, self._functions[row], one), self.size)
             for row, one in _split_episodes(rows, observation)
         ]
         return self._arrays.asarray(np.stack(found))
@@ -153,32 +153,32 @@ class CustomScheme(ArrayScheme):
                 f"function, got {choice!r}"
             )
         self.agent, self.name = agent, name or _get_name(choice)  # type: ignore[misc]
-        self._what, self._arrays = f"{SCHEME} {self.name!r}", arrays
-        self.size = _check_size(self._what, getattr(choice, "size", None), "outputs")
+        self._label, self._arrays = f"{SCHEME} {self.name!r}", arrays
+        self.size = _check_size(self._label, getattr(choice, "size", None), "outputs")
         found = _make_instances(SCHEME, agent, choice, context, count)
         self._schemes: Sequence[ActionScheme] = found if isinstance(choice, type) else list(map(_FunctionScheme, found))
         self.wait = self._schemes[0].wait
 
     def reset(self, row: int) -> None:
         """Clear the state of the scheme of the episode at index `row`."""
-        _run(self._what, self._schemes[row].reset)
+        _run(self._label, self._schemes[row].reset)
 
     def needs_outputs(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return whether the network must be evaluated now, (r,), for the r episodes with indices `rows`."""
         own = _split_episodes(rows, observation)
-        needs = [bool(_run(self._what, self._schemes[row].needs_outputs, one)) for row, one in own]
+        needs = [bool(_run(self._label, self._schemes[row].needs_outputs, one)) for row, one in own]
         return self._arrays.asarray(needs, "bool")
 
     def set_outputs(self, rows: AnyArray, outputs: AnyArray) -> None:
         """Pass outputs (r, size) to the schemes of the episodes `rows`; most schemes clip them to [-1, 1]."""
         for row, own in zip(rows.tolist(), to_numpy(outputs), strict=True):
-            _run(self._what, self._schemes[row].set_outputs, own)
+            _run(self._label, self._schemes[row].set_outputs, own)
 
     def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return the actions of the episodes with indices `rows`, float32: (r, 8) of givers or (r, 9) of receivers."""
-        what, size = f"action of {self._what}", _ACTION_SIZES[self.agent]
+        label, size = f"action of {self._label}", _ACTION_SIZES[self.agent]
         found = [
-            _check_vector(what, _run(self._what, self._schemes[row].compute_action, one), size)
+            _check_vector(label, _run(self._label, self._schemes[row].compute_action, one), size)
             for row, one in _split_episodes(rows, observation)
         ]
         return self._arrays.asarray(np.stack(found))
@@ -204,43 +204,43 @@ def _get_name(choice: object) -> str:
 
 def _make_instances(kind: str, agent: str, choice: Any, context: PolicyContext, count: int) -> list[Any]:
     """Return `count` instances of a class; or a function `count` times, as deep copies if it has a method `reset`."""
-    what, declared = f"{kind} {_get_name(choice)!r}", getattr(choice, "agent", None)
+    label, declared = f"{kind} {_get_name(choice)!r}", getattr(choice, "agent", None)
     if isinstance(declared, str) and declared != agent:
-        raise OptionError(f"{what} must be for the {agent}, got some for the {declared}; change its attribute agent")
+        raise OptionError(f"{label} must be for the {agent}, got some for the {declared}; change its attribute agent")
     if not isinstance(choice, type):
         return [copy.deepcopy(choice) if hasattr(choice, "reset") else choice for _ in range(count)]
     if inspect.isabstract(choice):
         missing = ", ".join(sorted(choice.__abstractmethods__))  # type: ignore[attr-defined]
-        raise OptionError(f"{what} must define {missing}; add the missing methods")
+        raise OptionError(f"{label} must define {missing}; add the missing methods")
     try:
         given = (context,) if "context" in inspect.signature(choice).parameters else ()
         return [choice(*given) for _ in range(count)]
     except Exception as error:  # code of the user
-        raise EncodingError(f"{what} cannot be made ({type(error).__name__}: {error})") from error
+        raise EncodingError(f"{label} cannot be made ({type(error).__name__}: {error})") from error
 
 
-def _check_vector(what: str, values: Any, size: int) -> Vector:
+def _check_vector(label: str, values: Any, size: int) -> Vector:
     """Check that user-defined code returned finite float32 numbers (size,), and return them."""
     if type(values) is not np.ndarray or values.shape != (size,) or values.dtype != np.float32:
         got = f"{values.dtype} {values.shape}" if isinstance(values, np.ndarray) else type(values).__name__
         raise EncodingError(
-            f"{what} must be a float32 array of shape {(size,)}, got {got}; convert with numpy.asarray(values, "
+            f"{label} must be a float32 array of shape {(size,)}, got {got}; convert with numpy.asarray(values, "
             "dtype=numpy.float32), or declare another size"
         )
     if not np.isfinite(values).all():
         bad = int(np.argmin(np.isfinite(values)))
-        raise EncodingError(f"{what} must be finite, got {values[bad]} in component {bad}")
+        raise EncodingError(f"{label} must be finite, got {values[bad]} in component {bad}")
     return values
 
 
-def _run(what: str, function: Callable[..., Any], *arguments: Any) -> Any:
+def _run(label: str, function: Callable[..., Any], *arguments: Any) -> Any:
     """Return the result of a user-defined function, or raise an `EncodingError` that names it."""
     try:
         return function(*arguments)
     except HandoverError:
         raise
     except Exception as error:  # code of the user
-        raise EncodingError(f"{what} failed ({type(error).__name__}: {error})") from error
+        raise EncodingError(f"{label} failed ({type(error).__name__}: {error})") from error
 
 
 def _split_episodes(rows: AnyArray, observation: Observation) -> Iterator[tuple[int, Observation]]:

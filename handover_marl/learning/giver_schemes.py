@@ -70,13 +70,13 @@ class HandoverPoseScheme(ArrayScheme):
         """Create the arrays with the decision in each of n = `count` episodes; the constructor calls this once."""
         arrays = self._arrays
         self.pose_variation = HandoverPoseVariation(count, arrays)
-        self._decided, self._chosen, self._withdrawn = (arrays.zeros(count, "bool") for _ in range(3))
+        self._has_decided, self._has_pose, self._has_withdrawn = (arrays.zeros(count, "bool") for _ in range(3))
         self._shift, self._turn, self._withdrawal = (arrays.zeros((count, 3)) for _ in range(3))
 
     def reset(self, row: int) -> None:
         """Clear the decision of the finished episode at index `row`; the giver follows the recording again."""
         super().reset(row)
-        self._decided[row] = self._chosen[row] = self._withdrawn[row] = False
+        self._has_decided[row] = self._has_pose[row] = self._has_withdrawn[row] = False
         self._shift[row] = self._turn[row] = 0.0
         self.pose_variation.reset(row)
 
@@ -87,27 +87,27 @@ class HandoverPoseScheme(ArrayScheme):
         is_arriving = moves < self.arrival_tolerance
         is_late = xp.astype(observation["time"][:, 0], xp.float64) >= self.latest_decision_s
         can = (observation["holding"][:, 0] != 0.0) & (observation["hand_present"][:, 0] != 0.0)
-        return ~self._decided[rows] & can & (is_arriving | is_late)
+        return ~self._has_decided[rows] & can & (is_arriving | is_late)
 
     def set_outputs(self, rows: AnyArray, outputs: AnyArray) -> None:
         """Use outputs (r, 7), clipped to [-1, 1], as the decisions of the episodes with indices `rows`."""
         super().set_outputs(rows, outputs)
-        self._decided[rows] = True
+        self._has_decided[rows] = True
 
     def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return actions (r, 8) of the episodes `rows`: zeros, then the chosen pose, then the withdrawal."""
         xp = self._arrays.xp
-        new = xp.nonzero(self._decided[rows] & ~self._chosen[rows])[0]
+        new = xp.nonzero(self._has_decided[rows] & ~self._has_pose[rows])[0]
         if len(new):
             self._choose_poses(rows[new], {key: value[new] for key, value in observation.items()})
-        chosen, released = self._chosen[rows], observation["released"][:, 0] != 0.0
-        offers = xp.nonzero(chosen & ~released)[0]
+        has_pose, released = self._has_pose[rows], observation["released"][:, 0] != 0.0
+        offers = xp.nonzero(has_pose & ~released)[0]
         if len(offers):
             self.pose_variation.update(rows[offers], {key: value[offers] for key, value in observation.items()})
         scale = self.pose_variation.scale[rows, None]
-        displacement, leaves = scale * self._shift[rows], chosen & released
+        displacement, leaves = scale * self._shift[rows], has_pose & released
         if leaves.any():
-            self._withdraw(rows, observation, leaves & ~self._withdrawn[rows], displacement)
+            self._withdraw(rows, observation, leaves & ~self._has_withdrawn[rows], displacement)
             displacement = xp.where(leaves[:, None], self._withdrawal[rows], displacement)
         rotation = scale * self._turn[rows]
         return make_giver_actions(len(rows), displacement=displacement, rotation=rotation, arrays=self._arrays)
@@ -119,7 +119,7 @@ class HandoverPoseScheme(ArrayScheme):
         wrist = widen(observation["replay_wrist_poses"][:, -1, :3])
         rotated = wrist + rotate_points(quaternions_from_rotation_vectors(turn), center - wrist)
         self._shift[rows] = center + rotate_to_world(axes, outputs[:, :3]) * self.max_output_translation - rotated
-        self._turn[rows], self._chosen[rows] = turn, True
+        self._turn[rows], self._has_pose[rows] = turn, True
 
     def _withdraw(self, rows: AnyArray, observation: Observation, begins: AnyArray, shift: AnyArray) -> None:
         """Store the final displacements of the hands that begin to withdraw, where `begins` (r,) is True.
@@ -128,4 +128,4 @@ class HandoverPoseScheme(ArrayScheme):
         """
         length = (self._outputs[rows, 6:] + 1.0) / 2.0 * self.max_withdrawal
         withdrawal = shift + compute_withdrawals(observation, length)
-        self._withdrawal[rows[begins]], self._withdrawn[rows[begins]] = withdrawal[begins], True
+        self._withdrawal[rows[begins]], self._has_withdrawn[rows[begins]] = withdrawal[begins], True

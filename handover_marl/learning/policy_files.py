@@ -42,14 +42,14 @@ def write_policy(path: Path, spec: PolicySpec, network: DenseNetwork) -> None:
     write_arrays(path, {"about": np.array(json.dumps(about)), **arrays})
 
 
-def read_policy(path: Path, agent: str, trust: bool = False, **given: Any) -> tuple[PolicySpec, DenseNetwork, str]:
+def read_policy(path: Path, agent: str, trust: bool = False, **overrides: Any) -> tuple[PolicySpec, DenseNetwork, str]:
     """Read a policy file, without running code; raise DataNotFoundError or DataFormatError if that fails.
 
     Args:
         path: Policy file; another suffix than .npz raises OptionError.
         agent: Agent that the policy must control, "giver" or "receiver".
         trust: Whether modules that the file names may be imported; else such a file raises UnsafeFileError.
-        **given: Fields of `PolicySpec` that replace the fields in the file; None keeps a field, see `complete_spec`.
+        **overrides: Fields of `PolicySpec` that replace those in the file; None keeps a field, see `complete_spec`.
 
     Returns:
         Encoding, network from features to outputs, and unique label of the policy in result files: file name and a
@@ -71,39 +71,39 @@ def read_policy(path: Path, agent: str, trust: bool = False, **given: Any) -> tu
         raise DataFormatError(f"{path}: cannot read this policy file ({error})") from error
     recorded, network = _read_npz(path, content)
     for key, kind in (("features", "features"), ("actions", "action scheme")):
-        if key in recorded and given.get(key) is None:
+        if key in recorded and overrides.get(key) is None:
             check_stored_reference(path, kind, recorded[key], trust)
     digest = hashlib.sha256(content).hexdigest()[:8]
-    return complete_spec(path, agent, recorded, given), network, f"{path.stem}@{digest}"
+    return complete_spec(path, agent, recorded, overrides), network, f"{path.stem}@{digest}"
 
 
 def complete_spec(
-    where: object, agent: str | None, recorded: Mapping[str, Any], given: Mapping[str, Any]
+    source: object, agent: str | None, recorded: Mapping[str, Any], overrides: Mapping[str, Any]
 ) -> PolicySpec:
     """Return the encoding of a policy: each field as the caller gives it, else as the training recorded it.
 
     Args:
-        where: File or name of the policy, for errors.
+        source: File or name of the policy, for errors.
         agent: Agent that the policy must control; None for the recorded one.
         recorded: Fields of `PolicySpec` by name that the training recorded.
-        given: Fields of `PolicySpec` by name that the caller chooses; None as a value means not chosen. A chosen
+        overrides: Fields of `PolicySpec` by name that the caller chooses; None as a value means not chosen. A chosen
             control period must equal the recorded one, else OptionError is raised; without either, it is 0.1 s.
     """
     if agent is not None and recorded.get("agent", agent) != agent:
-        raise DataFormatError(f"{where}: policy must be for the {agent}, got one for the {recorded['agent']}")
-    chosen = {key: value for key, value in given.items() if value is not None}
+        raise DataFormatError(f"{source}: policy must be for the {agent}, got one for the {recorded['agent']}")
+    chosen = {key: value for key, value in overrides.items() if value is not None}
     fields = {"agent": agent, "control_period": _DEFAULT_PERIOD} | dict(recorded) | chosen
     period = fields["control_period"]
     before = recorded.get("control_period", period)
     for value in (before, period):
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.001 <= value <= MAX_CONTROL_PERIOD:
             rule = f"control_period must be a time from 0.001 to {MAX_CONTROL_PERIOD:g} s"
-            raise OptionError(f"{where}: {rule}, got {shorten_text(repr(value))}; for 100 ms pass 0.1")
+            raise OptionError(f"{source}: {rule}, got {shorten_text(repr(value))}; for 100 ms pass 0.1")
     if abs(before - period) > 1e-9:
-        raise OptionError(f"{where}: control_period must be {before} as in training, got {period}")
+        raise OptionError(f"{source}: control_period must be {before} as in training, got {period}")
     for key, name in (("agent", "agent"), ("features", "features"), ("actions", "action_scheme")):
         if fields.get(key) is None:
-            raise OptionError(f"{where}: {name} must be given, because the model does not record it")
+            raise OptionError(f"{source}: {name} must be given, because the model does not record it")
     return PolicySpec(**fields | {"control_period": float(period)})
 
 

@@ -190,18 +190,18 @@ class GraspServoScheme(HandMotionScheme):
         arrays = self._arrays
         self._max_translation = arrays.asarray(self.max_output_translation)
         self._goal = arrays.asarray(context.protocol.goal_center)
-        self._waiting = arrays.asarray(WAITING_JOINTS, "float32")
-        self._closed = arrays.zeros(count, "bool")
+        self._waiting_joints = arrays.asarray(WAITING_JOINTS, "float32")
+        self._is_closed = arrays.zeros(count, "bool")
 
     def reset(self, row: int) -> None:
         """Clear the state of the finished episode at index `row`: the gripper is open and the arm waits."""
         super().reset(row)
-        self._closed[row] = False
+        self._is_closed[row] = False
 
     def set_outputs(self, rows: AnyArray, outputs: AnyArray) -> None:
         """Use network outputs (r, 7), clipped to [-1, 1], in the episodes with indices `rows` until their next call."""
         super().set_outputs(rows, outputs)
-        self._closed[rows] |= self._outputs[rows, 6] > self.close_threshold
+        self._is_closed[rows] |= self._outputs[rows, 6] > self.close_threshold
 
     def needs_outputs(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return whether the time `wait` is over, (r,), in each of the r episodes with indices `rows`."""
@@ -211,7 +211,7 @@ class GraspServoScheme(HandMotionScheme):
     def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return the target positions (r, 9) of arms and fingers (rad, m) in the episodes with indices `rows`."""
         xp = self._arrays.xp
-        actions = xp.tile(self._waiting, (len(rows), 1))
+        actions = xp.tile(self._waiting_joints, (len(rows), 1))
         acts = xp.nonzero(self.needs_outputs(rows, observation))[0]
         if len(acts):
             actions[acts] = self._servo_to_grasp(rows[acts], {key: value[acts] for key, value in observation.items()})
@@ -229,7 +229,7 @@ class GraspServoScheme(HandMotionScheme):
         inverse = conjugate_quaternions(present)
         translation = limit_lengths(rotate_points(inverse, position - gripper[:, :3]), self.max_translation)
         rotation = rotation_vectors_from_quaternions(multiply_quaternions(inverse, target))
-        return self._move(observation, translation, limit_lengths(rotation, self.max_rotation), self._closed[rows])
+        return self._move(observation, translation, limit_lengths(rotation, self.max_rotation), self._is_closed[rows])
 
     def _find_targets(
         self, rows: AnyArray, observation: Observation, gripper: AnyArray, present: AnyArray

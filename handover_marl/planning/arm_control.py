@@ -82,16 +82,16 @@ class ArmInWorld:
         return np.asarray(columns.T)
 
     def solve(
-        self, poses: Array, seeds: Array, iterations: int, tolerance: float = 1e-3
+        self, poses: Array, starts: Array, iterations: int, tolerance: float = 1e-3
     ) -> tuple[Array, npt.NDArray[np.bool_]]:
-        """Solve inverse kinematics for world poses (n, 7) (quaternion xyzw) of the hand link from seeds (n, 7) in rad.
+        """Solve inverse kinematics for world poses (n, 7; xyzw) of the hand link from joints `starts` (n, 7) in rad.
 
         The tolerance is the maximum error of each component of position (m) and rotation vector (rad). Returns
         configurations (n, 7) in rad after at most `iterations` steps, and whether each one reaches its pose (n,).
         """
         local = compose(self._base_from_world, poses)
         rotations = Rotation.from_quat(local[:, 3:]).as_matrix()
-        return solve_ik(self.arm, local[:, :3], rotations, seeds, self.limits, tolerance, iterations)
+        return solve_ik(self.arm, local[:, :3], rotations, starts, self.limits, tolerance, iterations)
 
     def compute_joint_velocity(
         self, joints: Array, linear: Array, angular: Array, rotation_weight: float, period: float

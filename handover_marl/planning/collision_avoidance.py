@@ -106,19 +106,19 @@ def enforce_separation(
         for closest, link in (find_closest_arm_points(arm, joints, body.spheres), (gripper, arm.arm.n_joints)):
             wanted = min(body.min_clearance, closest.distance) if leaving else body.min_clearance
             retreat = min((wanted - closest.distance) / config.time_constant, config.max_evasion_speed)
-            least = retreat + float(closest.normal @ body.velocity)
-            dampers.append((closest.normal @ arm.compute_point_jacobian(joints, closest.point, link), least))
+            min_rate = retreat + float(closest.normal @ body.velocity)
+            dampers.append((closest.normal @ arm.compute_point_jacobian(joints, closest.point, link), min_rate))
     # One constraint may undo what another has enforced, so all are swept several times.
-    for row, least in _N_SWEEPS * dampers:
+    for row, min_rate in _N_SWEEPS * dampers:
         rate = float(row @ velocity)
-        if rate < least:
-            velocity = velocity + row * (least - rate) / (row @ row + _DAMPING)
+        if rate < min_rate:
+            velocity = velocity + row * (min_rate - rate) / (row @ row + _DAMPING)
     return velocity
 
 
 def select_safe_velocity(
-    wanted: Array,
-    reached: Array,
+    candidates: Array,
+    reachable: Array,
     arm: ArmInWorld,
     joints: Array,
     bodies: Sequence[MovingBody],
@@ -128,11 +128,11 @@ def select_safe_velocity(
     """Return the first of several joint velocities (7,) that keeps all clearances at the end of the lookahead.
 
     A clearance must be at least its minimum, or its present value if this is smaller, less `config.slack`. If no
-    candidate satisfies this, the one with the smallest violation is returned. The candidates `wanted` (n, 7) in rad/s
-    are ordered by preference; row i of `reached` (n, 7) is the velocity that the motors can reach for row i of
-    `wanted`. The arm is at `joints` (7,) in rad, and the table's surface at `table_height`, world z in m.
+    candidate satisfies this, the one with the smallest violation is returned. The `candidates` (n, 7) in rad/s are
+    ordered by preference; row i of `reachable` (n, 7) is the velocity that the motors can reach for row i of
+    `candidates`. The arm is at `joints` (7,) in rad, and the table's surface at `table_height`, world z in m.
     """
-    line = np.concatenate([joints[None], joints + config.lookahead * reached])
+    line = np.concatenate([joints[None], joints + config.lookahead * reachable])
     hands, heights = arm.compute_hand_poses(line), compute_lowest_heights(arm, line) - table_height
     violations = np.maximum(0.0, min(config.table_clearance, float(heights[0])) - config.slack - heights[1:])
     for body in bodies:
@@ -146,7 +146,7 @@ def select_safe_velocity(
             compute_open_gripper_clearances(hands[1:], predicted), compute_arm_clearances(arm, line[1:], predicted)
         )
         violations = np.maximum(violations, min(body.min_clearance, now) - config.slack - clearances)
-    return np.asarray(wanted[int(np.argmin(violations))])
+    return np.asarray(candidates[int(np.argmin(violations))])
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,7 +178,7 @@ def find_via_point(
     arm: ArmInWorld,
     start: Array,
     goal: Array,
-    known: Array,
+    extra_candidates: Array,
     speeds: Array,
     obstacles: PathObstacles,
     max_candidates: int,
@@ -186,10 +186,10 @@ def find_via_point(
     """Return the via point (7,) of the fastest clear path from start to goal, (7,) in rad; None if none is clear.
 
     A path is straight in joint space from start to via point, and from via point to goal; it is clear by the rule of
-    `is_path_clear`. Candidates are the `known` via points (n, 7), and 50 fixed pseudo-random offsets from the middle
+    `is_path_clear`. Candidates are `extra_candidates` (n, 7), and 50 fixed pseudo-random offsets from the middle
     between start and goal. Only the `max_candidates` fastest paths at joint speeds `speeds` (7,) in rad/s are checked.
     """
-    candidates = np.clip(np.concatenate([known, 0.5 * (start + goal) + _OFFSETS]), *arm.limits)
+    candidates = np.clip(np.concatenate([extra_candidates, 0.5 * (start + goal) + _OFFSETS]), *arm.limits)
     to_candidate = (np.abs(candidates - start) / speeds).max(axis=1)
     time = to_candidate + (np.abs(candidates - goal) / speeds).max(axis=1)
     fastest = candidates[np.argsort(time, kind="stable")[:max_candidates]]

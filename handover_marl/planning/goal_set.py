@@ -1,6 +1,6 @@
 """Goal sets of the OMG planner (see `planner.py`): arm configurations at grasps, and the selection among them.
 
-A goal has a tail: the arm configurations on the straight approach from the standoff to the grasp.
+Each goal has an approach: the arm configurations on the straight path from the standoff to the grasp.
 """
 
 from collections.abc import Callable, Sequence
@@ -39,12 +39,12 @@ _IK_SEEDS = (
 )
 # Number of Newton steps of inverse kinematics, and its error in each component of position (m) and rotation vector.
 _MAX_ITERATIONS, _TOLERANCE = 100, 1e-6
-# Length of `N_TAIL` steps along the hand's z axis (m); an approach, with the standoff as first pose, has one step less.
+# Length of `N_APPROACH` steps along the hand's z axis (m); an approach begins at the standoff and has one step less.
 _STANDOFF = 0.08
-#: Number of poses on the approach (tail) from standoff to grasp, both included.
-N_TAIL = 5
+#: Number of poses on the approach from standoff to grasp, both included.
+N_APPROACH = 5
 # Maximum norm of the joint differences on an approach (rad); on a longer one, inverse kinematics has jumped.
-_MAX_TAIL_NORM = 2.0
+_MAX_APPROACH_NORM = 2.0
 # Maximum rotation of the hand from its start (rad), minimum z component of the hand's x axis in the base frame, and
 # number of points on the straight joint path to the grasp at which both are checked.
 _MAX_ROTATION, _MIN_HAND_X_Z, _N_PATH_CHECKS = np.radians(120.0), -0.3, 5
@@ -96,31 +96,31 @@ class GoalSet:
     """Set of goals at which a trajectory may end: arm configurations at grasps.
 
     Attributes:
-        tails: (g, t, 7) configurations on the approach from the standoff to the grasp (rad).
+        approaches: (g, t, 7) configurations on the approach from the standoff to the grasp (rad).
         grasps: (g,) index of each goal's grasp among the grasps that were given to the builder.
-        clearances: (g,) smallest clearance of gripper and person's hand in the tail (m), inf where the hand is ignored.
+        clearances: (g,) smallest clearance of gripper and person's hand on the way (m), inf where the hand is ignored.
     """
 
-    tails: Array
+    approaches: Array
     grasps: npt.NDArray[np.int_]
     clearances: Array
 
     def __len__(self) -> int:
-        return len(self.tails)
+        return len(self.approaches)
 
     @property
     def standoffs(self) -> Array:
         """(g, 7) configurations at the standoffs, where the approaches to the grasps start (rad)."""
-        return self.tails[:, 0]
+        return self.approaches[:, 0]
 
     @property
     def goals(self) -> Array:
         """(g, 7) configurations at the grasps, where the approaches end (rad)."""
-        return self.tails[:, -1]
+        return self.approaches[:, -1]
 
-    def select(self, chosen: npt.NDArray[np.generic]) -> "GoalSet":
-        """Return a goal set of some goals, which `chosen` gives as indices (k,) or as a mask (g,)."""
-        return GoalSet(self.tails[chosen], self.grasps[chosen], self.clearances[chosen])
+    def select(self, selection: npt.NDArray[np.generic]) -> "GoalSet":
+        """Return a goal set of some goals, which `selection` gives as indices (k,) or as a mask (g,)."""
+        return GoalSet(self.approaches[selection], self.grasps[selection], self.clearances[selection])
 
 
 class GoalSetBuilder:
@@ -156,60 +156,60 @@ class GoalSetBuilder:
         others exist. Of similar goals, the one with the largest clearance is kept. At most 100 goals are returned, in
         a pseudo-random order that is the same in every call.
         """
-        goals = self._add_wrist_flips(self._solve_tails(grasps))
+        goals = self._add_wrist_flips(self._solve_approaches(grasps))
         goals = goals.select(self._keeps_orientation(goals.goals))
         goals = goals.select(self._is_collision_free(goals.standoffs, objects))
         if person is not None and len(goals):
-            goals = replace(goals, clearances=self._compute_clearances(goals.tails, person))
+            goals = replace(goals, clearances=self._compute_clearances(goals.approaches, person))
             goals = goals.select(np.argsort(-goals.clearances, kind="stable"))
             least = min(MIN_HAND_CLEARANCE, float(goals.clearances.max()))
             goals = goals.select(goals.clearances >= least)
         return self._remove_similar_goals(goals)
 
-    def _compute_clearances(self, tails: Array, person: Obstacle) -> Array:
+    def _compute_clearances(self, approaches: Array, person: Obstacle) -> Array:
         """Return the smallest distances (g,) in m between gripper and the person's hand over the joints (g, t, 7)."""
-        frames = self._arm.compute_link_frames(tails.reshape(-1, tails.shape[-1]))
+        frames = self._arm.compute_link_frames(approaches.reshape(-1, approaches.shape[-1]))
         hand = len(frames.origins) - len(self._gripper)
         points = transform_body_points(LinkFrames(frames.origins[hand:], frames.rotations[hand:]), self._gripper)
         distances = person.compute_distances(points.reshape(3, -1).astype(np.float32))
-        by_point = distances.reshape(points.shape[1], *tails.shape[:2])
+        by_point = distances.reshape(points.shape[1], *approaches.shape[:2])
         return np.asarray(by_point.min(axis=(0, 2)).astype(np.float64))
 
-    def _solve_tails(self, grasps: Array) -> GoalSet:
+    def _solve_approaches(self, grasps: Array) -> GoalSet:
         """Return a goal for each pair of grasp (n, 7) and IK seed for which IK solves all of the approach smoothly."""
         seeds = np.array([self._start, *_IK_SEEDS])
         numbers = np.repeat(np.arange(len(grasps)), len(seeds))
-        joints, solved = self._solve(self._tail_poses(grasps, 0), numbers, np.tile(seeds, (len(grasps), 1)))
+        joints, solved = self._solve(self._compute_approach_poses(grasps, 0), numbers, np.tile(seeds, (len(grasps), 1)))
         numbers, rows = numbers[solved], [joints[solved]]
         # The grasp is solved from the standoff, then each pose on the way back from the previous.
-        for step in (N_TAIL - 1, *range(N_TAIL - 2, -1, -1)):
-            joints, solved = self._solve(self._tail_poses(grasps, step), numbers, rows[-1])
+        for step in (N_APPROACH - 1, *range(N_APPROACH - 2, -1, -1)):
+            joints, solved = self._solve(self._compute_approach_poses(grasps, step), numbers, rows[-1])
             numbers, rows = numbers[solved], [*(row[solved] for row in rows), joints[solved]]
-        tails = np.stack([rows[-1], *rows[-2:0:-1]], axis=1) if len(numbers) else np.zeros((0, N_TAIL, 7))
-        is_short = np.linalg.norm(np.diff(tails, axis=1), axis=(1, 2)) < _MAX_TAIL_NORM
-        return GoalSet(tails[is_short], numbers[is_short], np.full(int(is_short.sum()), np.inf))
+        approaches = np.stack([rows[-1], *rows[-2:0:-1]], axis=1) if len(numbers) else np.zeros((0, N_APPROACH, 7))
+        is_short = np.linalg.norm(np.diff(approaches, axis=1), axis=(1, 2)) < _MAX_APPROACH_NORM
+        return GoalSet(approaches[is_short], numbers[is_short], np.full(int(is_short.sum()), np.inf))
 
-    def _tail_poses(self, grasps: Array, step: int) -> Array:
-        """Return the hand poses (n, 7) in one step of the approaches, from 0 (standoff) to `N_TAIL` - 1 (grasp)."""
-        back = _STANDOFF / N_TAIL * (N_TAIL - 1 - step)
+    def _compute_approach_poses(self, grasps: Array, step: int) -> Array:
+        """Return the hand poses (n, 7) in one step of the approaches, from 0 (standoff) to `N_APPROACH` - 1 (grasp)."""
+        back = _STANDOFF / N_APPROACH * (N_APPROACH - 1 - step)
         return np.asarray(compose(grasps, np.array([0.0, 0.0, -back, 0.0, 0.0, 0.0, 1.0])))
 
-    def _solve(self, poses: Array, numbers: npt.NDArray[np.int_], seeds: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
-        """Solve IK for poses (n, 7) with indices `numbers` (k,) from seeds (k, 7); return joints (k, 7) and success."""
+    def _solve(self, poses: Array, numbers: npt.NDArray[np.int_], starts: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
+        """Solve IK for poses (n, 7) `numbers` (k,) from joints `starts` (k, 7); return joints (k, 7) and success."""
         rotations = Rotation.from_quat(poses[:, 3:]).as_matrix()
         targets = poses[numbers, :3], rotations[numbers]
-        return solve_ik(self._arm, *targets, seeds, self._limits, _TOLERANCE, _MAX_ITERATIONS)
+        return solve_ik(self._arm, *targets, starts, self._limits, _TOLERANCE, _MAX_ITERATIONS)
 
     def _add_wrist_flips(self, goals: GoalSet) -> GoalSet:
         """Append a copy of each goal with the last joint rotated by pi, unless this exceeds the joint's limits."""
-        flipped = goals.tails.copy()
-        # All rows are rotated in the direction of the first one, so that a tail across zero has no jump.
-        flipped[..., _LAST_JOINT] -= np.copysign(np.pi, goals.tails[:, :1, _LAST_JOINT])
+        flipped = goals.approaches.copy()
+        # All rows are rotated in the direction of the first one, so that an approach across zero has no jump.
+        flipped[..., _LAST_JOINT] -= np.copysign(np.pi, goals.approaches[:, :1, _LAST_JOINT])
         low, high = self._limits[0][_LAST_JOINT], self._limits[1][_LAST_JOINT]
         fits = ((low < flipped[..., _LAST_JOINT]) & (flipped[..., _LAST_JOINT] < high)).all(axis=1)
-        copies = replace(goals, tails=flipped).select(fits)
+        copies = replace(goals, approaches=flipped).select(fits)
         return GoalSet(
-            np.concatenate([goals.tails, copies.tails]),
+            np.concatenate([goals.approaches, copies.approaches]),
             np.concatenate([goals.grasps, copies.grasps]),
             np.concatenate([goals.clearances, copies.clearances]),
         )
@@ -293,9 +293,9 @@ class GoalSelector:
         """Return the costs (g,), scaled to norm 1, of straight paths to the goals from the waypoint of a round."""
         first = min(int(_LOOKAHEAD_RATE * round_number), self._n_waypoints - 1)
         here, count = trajectory[first], self._n_waypoints - first
-        tails = np.zeros((len(self._goals), count), dtype=bool)
-        tails[-1 if self._unchecked_last else slice(None), -self._cost.n_tail :] = True
-        obstacle_costs = self._cost.evaluate_lines(here, self._goals, count, tails)
+        is_approach = np.zeros((len(self._goals), count), dtype=bool)
+        is_approach[-1 if self._unchecked_last else slice(None), -self._cost.n_approach :] = True
+        obstacle_costs = self._cost.evaluate_lines(here, self._goals, count, is_approach)
         smoothness = _SMOOTHNESS_WEIGHT * ((self._goals - here) ** 2).sum(axis=1)
         costs = obstacle_costs + smoothness + self._goal_costs
         return np.asarray(costs / max(float(np.linalg.norm(costs)), np.finfo(np.float64).tiny))

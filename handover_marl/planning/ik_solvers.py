@@ -33,7 +33,7 @@ Joints = npt.NDArray[np.floating]
 _UNLIMITED = np.full(ARM_DOF, -np.inf), np.full(ARM_DOF, np.inf)
 # Maximum final error of position (m) and rotation (rad), as in PyBullet.
 _TOLERANCE = (1e-3, 0.1)
-# From a distant seed, PyBullet's damped steps end in other configurations than undamped ones. With this damping, all
+# From a distant start, PyBullet's damped steps end in other configurations than undamped ones. With this damping, all
 # but one of 640 queries of `yang2021` (40 scenes of s0 train) are solved if PyBullet solves them, 95 % of them within
 # 0.03 rad of its solution.
 _PANDA_DAMPING = 0.1
@@ -54,7 +54,7 @@ def solve_ik(
     arm: ArmKinematics,
     positions: Array,
     rotations: Array | None,
-    seeds: Array,
+    starts: Array,
     limits: tuple[Array, Array],
     tolerance: float | tuple[float, float],
     iterations: int,
@@ -63,16 +63,16 @@ def solve_ik(
     min_step: float = 0.0,
     max_step: float = np.inf,
 ) -> tuple[Array, npt.NDArray[np.bool_]]:
-    """Solve inverse kinematics of many hand poses in the arm's base frame by Newton's method from seeds (n, 7).
+    """Solve inverse kinematics of many hand poses in the base frame by Newton's method from joints `starts` (n, 7).
 
     Every iteration solves the linearized problem with the smallest joint motion and clamps the result to the joint
     limits, (7,) each. Positions (n, 3) are in m; rotations (n, 3, 3) may be None if free. The tolerance is the maximum
     error of each component of position (m) and rotation vector (rad), or two values for their norms. More damping (m^2)
-    takes shorter steps that stay nearer to the seed. A search ends without solution after `iterations` steps, or where
+    takes shorter steps that stay nearer to the start. A search ends without solution after `iterations` steps, or where
     a step is below `min_step`; steps above `max_step` are scaled down (rad). Returns configurations (n, 7) in rad, and
     whether each one reaches its pose (n,).
     """
-    joints = np.clip(seeds, *limits)
+    joints = np.clip(starts, *limits)
     solved = np.zeros(len(joints), dtype=bool)
     active = np.arange(len(joints))
     rows = slice(3 if rotations is None else 6)
@@ -180,8 +180,8 @@ class ThreadIkSolver(IkSolver):
         rows = np.flatnonzero([key not in self._unsolved for key in keys])
         found = np.full((len(keys), ARM_DOF), np.nan)
         if len(rows):
-            turns = None if orientations is None else orientations[rows]
-            found[rows] = self._find().solve_many(starts[rows], positions[rows], turns)
+            quaternions = None if orientations is None else orientations[rows]
+            found[rows] = self._find().solve_many(starts[rows], positions[rows], quaternions)
         for row in rows[np.isnan(found[rows, 0])].tolist():
             self._unsolved[keys[row]] = None
             if len(self._unsolved) > _MAX_UNSOLVED:
@@ -226,8 +226,8 @@ class PandaIkSolver(IkSolver):
         found = np.full((len(starts), ARM_DOF), np.nan)
         rows = np.flatnonzero(~self._reach.is_unreachable(positions, orientations, _REACH_DISTANCE, _REACH_ANGLE))
         if len(rows):
-            turns = None if orientations is None else orientations[rows]
-            queries = starts[rows], positions[rows], turns
+            quaternions = None if orientations is None else orientations[rows]
+            queries = starts[rows], positions[rows], quaternions
             joints, solved = self._search(*queries, _TOLERANCE, _MAX_ITERATIONS, _MIN_STEP)
             found[rows[solved]] = joints[solved]
         return found
@@ -262,12 +262,12 @@ class PandaIkSolver(IkSolver):
         min_step: float,
     ) -> tuple[Array, npt.NDArray[np.bool_]]:
         """Return the joints (n, 7) at which `solve_ik` ends for world poses, and whether each one reaches its pose."""
-        turns = np.broadcast_to(IDENTITY[3:], (len(positions), 4)) if orientations is None else orientations
-        local = compose(self._base_from_world, np.concatenate([positions, turns], axis=1))
+        quaternions = np.broadcast_to(IDENTITY[3:], (len(positions), 4)) if orientations is None else orientations
+        local = compose(self._base_from_world, np.concatenate([positions, quaternions], axis=1))
         rotations = None if orientations is None else Rotation.from_quat(local[:, 3:]).as_matrix()
-        seeds = starts[:, :ARM_DOF].astype(np.float64)
+        joints = starts[:, :ARM_DOF].astype(np.float64)
         return solve_ik(
-            *(self._arm, local[:, :3], rotations, seeds, _UNLIMITED, tolerance, iterations),
+            *(self._arm, local[:, :3], rotations, joints, _UNLIMITED, tolerance, iterations),
             damping=_PANDA_DAMPING,
             min_step=min_step,
             max_step=_MAX_STEP,

@@ -1,7 +1,7 @@
 """OMG: manipulation trajectory optimization with online grasp selection (Wang et al., RSS 2020).
 
 The optimizer is goal-set CHOMP (Zucker et al., 2013): covariant gradient steps that keep the end of a trajectory on the
-tail of a goal, the straight approach to its grasp (Wang et al., 2020, section III-B).
+approach of a goal, the straight path to its grasp (Wang et al., 2020, section III-B).
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ from handover_marl.geometry.distance_field import sample_distance_field
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import FINGER_LINKS, HAND_LINK, LOWER_LIMITS, UPPER_LIMITS
 from handover_marl.geometry.poses import IDENTITY
-from handover_marl.planning.goal_set import COLLISION_DISTANCE, N_TAIL, GoalSelector, GoalSet, GoalSetBuilder, Limits
+from handover_marl.planning.goal_set import COLLISION_DISTANCE, N_APPROACH, GoalSelector, GoalSet, GoalSetBuilder
 from handover_marl.planning.hand_tracker import Capsules
 from handover_marl.planning.trajectory_cost import WAYPOINT_PERIOD, Obstacle, ObstacleCost, sample_body_points
 
@@ -78,14 +78,14 @@ class Plan:
     Attributes:
         start: (7,) configuration before the first waypoint (rad).
         goals: Goal set from which the goal of the trajectory was selected.
-        chosen: Index of the selected goal in `goals`.
+        goal_index: Index of the selected goal in `goals`.
         trajectory: (w, 7) waypoints (rad); the last ones are the approach from standoff to grasp.
         steps: Number of optimization steps that were made.
     """
 
     start: Array
     goals: GoalSet
-    chosen: int
+    goal_index: int
     trajectory: Array
     steps: int
 
@@ -133,7 +133,7 @@ class Planner:
         if not len(goals):
             return None
         obstacles = [*objects] if person is None else [*objects, person]
-        cost = ObstacleCost(self.arm, self._body, obstacles, N_TAIL)
+        cost = ObstacleCost(self.arm, self._body, obstacles, N_APPROACH)
         # Missing clearance to the person's hand has a cost; without a hand, clearances are infinite.
         goal_costs = _CLEARANCE_COST * np.maximum(0.0, _HAND_PADDING - goals.clearances)
         chomp = Chomp(cost, self._start, self._limits, config.n_waypoints)
@@ -144,17 +144,17 @@ class Planner:
         """Compute a plan by up to 50 steps of goal selection and CHOMP, then up to 20 with the last selected goal."""
         n_waypoints = self.config.n_waypoints
         first = make_initial_trajectory(self._start, goals.goals[0], n_waypoints)
-        chosen = selector.select_first(first)
-        trajectory = make_initial_trajectory(self._start, goals.goals[chosen], n_waypoints)
+        goal_index = selector.select_first(first)
+        trajectory = make_initial_trajectory(self._start, goals.goals[goal_index], n_waypoints)
         max_steps = _N_SELECTION_STEPS + _N_FIXED_GOAL_STEPS
         for step in range(max_steps):
             if step < _N_SELECTION_STEPS:
-                chosen = selector.select_next(trajectory, step + 1)
-            goal = goals.goals[chosen]
+                goal_index = selector.select_next(trajectory, step + 1)
+            goal = goals.goals[goal_index]
             if step > 0 and chomp.is_finished(trajectory, goal):
-                return Plan(self._start, goals, chosen, trajectory, step)
-            trajectory = chomp.step(trajectory, goals.tails[chosen], step + 1)
-        return Plan(self._start, goals, chosen, trajectory, max_steps)
+                return Plan(self._start, goals, goal_index, trajectory, step)
+            trajectory = chomp.step(trajectory, goals.approaches[goal_index], step + 1)
+        return Plan(self._start, goals, goal_index, trajectory, max_steps)
 
 
 def make_hand_obstacle(hand: Capsules) -> Obstacle:
@@ -163,7 +163,7 @@ def make_hand_obstacle(hand: Capsules) -> Obstacle:
     ends = np.concatenate([hand.starts, hand.ends])
     lower, upper = ends.min(axis=0) - reach, ends.max(axis=0) + reach
     field = sample_distance_field(hand.compute_distances, lower, upper, _HAND_CELL)
-    return Obstacle(field, IDENTITY, _HAND_PADDING, in_tail=True)
+    return Obstacle(field, IDENTITY, _HAND_PADDING, active_in_approach=True)
 
 
 def make_initial_trajectory(start: Array, goal: Array, n_waypoints: int) -> Array:
@@ -182,30 +182,30 @@ class Chomp:
         n_waypoints: Number of waypoints of a trajectory.
     """
 
-    def __init__(self, cost: ObstacleCost, start: Array, limits: Limits, n_waypoints: int) -> None:
+    def __init__(self, cost: ObstacleCost, start: Array, limits: tuple[Array, Array], n_waypoints: int) -> None:
         self._cost, self._start, self._limits = cost, start, limits
         difference = (np.eye(n_waypoints) - np.eye(n_waypoints, k=-1)) / WAYPOINT_PERIOD
         self._metric = difference.T @ difference
         self._inverse_metric = np.linalg.inv(self._metric)
         # Smoothness is half the squared norm of the differences, the first of which is from the start.
         self._start_gradient = difference.T @ np.concatenate([[-1.0 / WAYPOINT_PERIOD], np.zeros(n_waypoints - 1)])
-        ends = self._inverse_metric[:, -cost.n_tail :]
-        self._tail_correction = ends @ np.linalg.inv(ends[-cost.n_tail :])
+        ends = self._inverse_metric[:, -cost.n_approach :]
+        self._approach_correction = ends @ np.linalg.inv(ends[-cost.n_approach :])
 
     def compute_smoothness_cost(self, trajectory: Array) -> float:
         """Return half the sum of the squared joint velocities (rad/s) of a trajectory (w, 7) in rad."""
         steps = np.diff(trajectory, axis=0, prepend=self._start[None]) / WAYPOINT_PERIOD
         return float(0.5 * (steps**2).sum())
 
-    def step(self, trajectory: Array, tail: Array, number: int) -> Array:
-        """Return the trajectory (w, 7) after gradient step `number`, from 1; its last t rows move to `tail` (t, 7)."""
+    def step(self, trajectory: Array, approach: Array, number: int) -> Array:
+        """Return the trajectory (w, 7) after gradient step `number`, from 1; its end moves to `approach` (t, 7)."""
         smooth = self._metric @ trajectory + self._start_gradient[:, None] * self._start
-        near = _OBSTACLE_WEIGHT * self._cost.compute_gradient(trajectory, self._start, tail[-1])
+        near = _OBSTACLE_WEIGHT * self._cost.compute_gradient(trajectory, self._start, approach[-1])
         near = np.clip(near, -_MAX_GRADIENT, _MAX_GRADIENT)
         weight = _SMOOTHNESS_WEIGHT * _SMOOTHNESS_GROWTH**number
         descent = _STEP_SIZE * (self._inverse_metric @ (near + weight * smooth))
-        error = trajectory[-len(tail) :] - tail
-        moved = trajectory - descent + self._tail_correction @ (descent[-len(tail) :] - error)
+        error = trajectory[-len(approach) :] - approach
+        moved = trajectory - descent + self._approach_correction @ (descent[-len(approach) :] - error)
         return self._project_to_limits(moved)
 
     def compute_limit_violation(self, trajectory: Array) -> Array:
@@ -225,7 +225,7 @@ class Chomp:
     def _project_to_limits(self, trajectory: Array) -> Array:
         """Return the trajectory, moved smoothly into the joint limits up to a tolerance.
 
-        The tail moves, too; the next step restores it.
+        The approach moves, too; the next step restores it.
         """
         for _ in range(_MAX_LIMIT_PROJECTIONS):
             violation = self.compute_limit_violation(trajectory)

@@ -46,13 +46,13 @@ class Obstacle:
         field: Signed distance field of the obstacle.
         base_from_field: (7,) pose (quaternion xyzw) of the field's frame in the robot's base frame.
         padding: Distance from the surface up to which the obstacle has a cost (m).
-        in_tail: Whether the obstacle also has a cost in the final approach to a grasp (tail); false for objects.
+        active_in_approach: Whether the obstacle also has a cost in the final approach to a grasp; false for objects.
     """
 
     field: DistanceField
     base_from_field: Array
     padding: float
-    in_tail: bool = False
+    active_in_approach: bool = False
 
     def compute_distances(self, points: Floats) -> Floats:
         """Return the signed distances (n,) in m, negative inside, at points (3, n) in the robot's base frame."""
@@ -100,36 +100,36 @@ class ObstacleCost:
         arm: Kinematics of the arm.
         body: (m, 3) points on each link of the arm, in the link's frame (m).
         obstacles: Obstacles in the robot's base frame.
-        n_tail: Number of last waypoints, the approach to the grasp, at which only obstacles with `in_tail` have a cost.
+        n_approach: Number of last waypoints, the approach to the grasp; see `Obstacle.active_in_approach`.
     """
 
     arm: ArmKinematics
     body: Sequence[Array]
     obstacles: Sequence[Obstacle]
-    n_tail: int
+    n_approach: int
 
-    def evaluate_lines(self, start: Array, goals: Array, count: int, tails: npt.NDArray[np.bool_]) -> Array:
+    def evaluate_lines(self, start: Array, goals: Array, count: int, is_approach: npt.NDArray[np.bool_]) -> Array:
         """Return the obstacle costs (g,) of straight joint paths from one start (7,) to goals (g, 7).
 
         The cost of a path is the sum of proximity cost times workspace speed over all body points, at `count` waypoints
-        between start and goal; at waypoints in the mask `tails` (g, count), only `Obstacle`s with `in_tail` count.
+        between start and goal; in the mask `is_approach` (g, count), only obstacles with `active_in_approach` count.
         """
         shares = np.arange(count + 1) / (count + 1)
         line = start + shares[:, None, None] * (goals - start)
         points = self._points(line.reshape(-1, 7)).reshape(3, -1, count + 1, len(goals))
         speed = np.linalg.norm(np.diff(points, axis=2), axis=0) / WAYPOINT_PERIOD
-        costs = self._costs(points[:, :, 1:], tails.T)
+        costs = self._costs(points[:, :, 1:], is_approach.T)
         return np.asarray((costs * speed).sum(axis=(0, 1), dtype=np.float64))
 
     def count_collisions(self, trajectory: Array, distance: float) -> int:
         """Return the number of pairs of robot point and obstacle closer than `distance` (m).
 
-        Pairs are counted at every waypoint; at the last `n_tail` ones, only obstacles with `in_tail` count.
+        Pairs are counted at every waypoint; at the last `n_approach`, only obstacles with `active_in_approach` count.
         """
         points = self._points(trajectory)
         pairs = 0
         for obstacle in self.obstacles:
-            checked = points if obstacle.in_tail else points[..., : -self.n_tail]
+            checked = points if obstacle.active_in_approach else points[..., : -self.n_approach]
             pairs += int((obstacle.compute_distances(checked.reshape(3, -1)) < distance).sum())
         return pairs
 
@@ -177,23 +177,23 @@ class ObstacleCost:
         """Return the body points (3, p, n) at configurations (n, 7)."""
         return transform_body_points(self.arm.compute_link_frames(joints), self.body).astype(np.float32)
 
-    def _costs(self, points: Floats, tails: npt.NDArray[np.bool_]) -> Floats:
-        """Return the costs (p, ...) of points (3, p, ...); where `tails` (...), only obstacles with `in_tail` count."""
+    def _costs(self, points: Floats, is_approach: npt.NDArray[np.bool_]) -> Floats:
+        """Return the costs (p, ...) of points (3, p, ...); see `evaluate_lines` for the mask `is_approach` (...)."""
         total = np.zeros(points.shape[1:], dtype=np.float32)
         flat = points.reshape(3, -1)
         for obstacle in self.obstacles:
             cost = compute_proximity_cost(obstacle.compute_distances(flat), obstacle.padding).reshape(total.shape)
-            total += cost if obstacle.in_tail else cost * ~tails
+            total += cost if obstacle.active_in_approach else cost * ~is_approach
         return total
 
     def _costs_and_gradients(self, points: Floats) -> tuple[Floats, Floats]:
         """Return the costs (p, w), and their gradients (3, p, w), of points (3, p, w) along one trajectory."""
         total, gradients = np.zeros(points.shape[1:], dtype=np.float32), np.zeros(points.shape, dtype=np.float32)
         counts = np.ones(points.shape[2], dtype=np.float32)
-        counts[-self.n_tail :] = 0.0
+        counts[-self.n_approach :] = 0.0
         for obstacle in self.obstacles:
             distances, outward = obstacle.compute_distances_and_gradients(points.reshape(3, -1))
-            weight = np.float32(1.0) if obstacle.in_tail else counts
+            weight = np.float32(1.0) if obstacle.active_in_approach else counts
             total += weight * compute_proximity_cost(distances, obstacle.padding).reshape(total.shape)
             slope = compute_proximity_gradient(distances, obstacle.padding)
             gradients += weight * (slope * outward).reshape(gradients.shape)

@@ -71,25 +71,25 @@ class SequentialPolicyBatch(PolicyBatch):
     ) -> None:
         self._policies, self._check, self._arrays = policies, check, arrays
         self._actions: dict[int, npt.NDArray[np.float32]] = {}
-        self._due = np.zeros(len(policies), dtype=np.int64)
+        self._next_decision_steps = np.zeros(len(policies), dtype=np.int64)
 
     def reset(self, row: int, seed: int | None, object_names: Sequence[str]) -> None:
         """Start episode `row` with the policy's seed and the class names of the objects; the first is handed over."""
         start_policy(self._policies[row], seed, object_names)
-        self._due[row] = 0
+        self._next_decision_steps[row] = 0
 
     def act(self, rows: AnyIndices, observe: ObserveFunction, steps: AnyIntegers) -> tuple[Actions, AnyIntegers]:
         """Return actions (r, ...) in the episodes `rows`, and the physics steps (r,) of their next decisions."""
         arrays, rows, steps = self._arrays, to_numpy(rows), to_numpy(steps)
-        numbers = np.flatnonzero(steps >= self._due[rows])
+        numbers = np.flatnonzero(steps >= self._next_decision_steps[rows])
         found = observe(arrays.asarray(rows[numbers])) if len(numbers) else {}
         found = {key: to_numpy(values) for key, values in found.items()}
         for place, number in enumerate(numbers.tolist()):
             row, observation = int(rows[number]), {key: values[place] for key, values in found.items()}
-            action, self._due[row] = call_policy(self._policies[row], observation, int(steps[number]))
+            action, self._next_decision_steps[row] = call_policy(self._policies[row], observation, int(steps[number]))
             self._actions[row] = self._check(action)
         actions = np.stack([self._actions[row] for row in rows.tolist()])
-        return arrays.asarray(actions), arrays.asarray(self._due[rows])
+        return arrays.asarray(actions), arrays.asarray(self._next_decision_steps[rows])
 
 
 class ArrayPolicy(Policy):
@@ -161,22 +161,22 @@ class ArrayPolicyBatch(PolicyBatch):
     def __init__(self, policy: ArrayPolicy, count: int, agent: str, arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
         self._policy, self._arrays = policy, arrays
         self._actions = arrays.zeros((count, GIVER_ACTION_SIZE if agent == "giver" else PANDA_DOF), "float32")
-        self._due = arrays.zeros(count, "int64")
+        self._next_decision_steps = arrays.zeros(count, "int64")
 
     def reset(self, row: int, seed: int | None, object_names: Sequence[str]) -> None:
         """Start episode `row` with the policy's seed and the class names of the objects; the first is handed over."""
-        self._due[row] = 0
+        self._next_decision_steps[row] = 0
         self._policy.prepare(object_names)
         self._policy.start(row, seed)
 
     def act(self, rows: AnyIndices, observe: ObserveFunction, steps: AnyIntegers) -> tuple[Actions, AnyIntegers]:
         """Return actions (r, ...) in the episodes `rows`, and the physics steps (r,) of their next decisions."""
-        numbers = self._arrays.xp.nonzero(steps >= self._due[rows])[0]
+        numbers = self._arrays.xp.nonzero(steps >= self._next_decision_steps[rows])[0]
         if len(numbers):
-            due = rows[numbers]
-            self._actions[due] = self._policy.decide(due, observe(due))
-            self._due[due] = steps[numbers] + self._policy.count_hold_steps(due)
-        return self._actions[rows], self._due[rows]
+            deciding = rows[numbers]
+            self._actions[deciding] = self._policy.decide(deciding, observe(deciding))
+            self._next_decision_steps[deciding] = steps[numbers] + self._policy.count_hold_steps(deciding)
+        return self._actions[rows], self._next_decision_steps[rows]
 
 
 def make_giver_actions(

@@ -290,12 +290,12 @@ def check_policy_class(agent: str, policy_class: Any, name: str) -> None:
         raise OptionError(f'{agent} {name!r} has no name; add the class attribute name = "mine"')
 
 
-def check_policy_options(agent: str, policy_class: type, name: str, options: Iterable[str]) -> None:
-    """Raise `OptionError` unless a policy class's constructor has all `options`; `agent`, `name`: for the message."""
+def check_policy_options(agent: str, policy_class: type, name: str, option_names: Iterable[str]) -> None:
+    """Raise `OptionError` unless a class's constructor has all `option_names`; `agent` and `name` are for messages."""
     parameters = get_parameters(policy_class)
     any_name = {key for key, parameter in parameters.items() if parameter.kind is parameter.VAR_KEYWORD}
     valid = [key for key in parameters if key not in (*_RESERVED_PARAMETERS, *any_name)]
-    for key in options:
+    for key in option_names:
         if key in _RESERVED_PARAMETERS or not (any_name or key in valid):
             known = f"valid options: {', '.join(valid)}" if valid else "it takes no options"
             raise OptionError(f"{agent} {name!r} has no option {key!r}; {known}")

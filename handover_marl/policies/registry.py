@@ -55,12 +55,12 @@ def import_reference(kind: str, text: str, valid: Iterable[str] = ("module:name"
 
 
 def check_stored_reference(
-    where: object, kind: str, text: str, trust: bool, registered: Container[str] = (), advice: str = ""
+    source: object, kind: str, text: str, trust: bool, registered: Container[str] = (), advice: str = ""
 ) -> None:
     """Check text from a file: raise UnsafeFileError if it names a module and the user does not trust the file.
 
     Args:
-        where: The file, for error messages.
+        source: The file, for error messages.
         kind: Kind of what the text names, e.g. "features", for error messages.
         text: Text of the file: a name with or without options, or `module:name`.
         trust: Whether modules that the file names may be imported.
@@ -70,7 +70,7 @@ def check_stored_reference(
     head, colon, _ = text.partition(":")
     if colon and head not in registered and not trust:
         raise UnsafeFileError(
-            f"{where}: {kind} {text!r} must not be imported from a module that only a file names; {advice}pass "
+            f"{source}: {kind} {text!r} must not be imported from a module that only a file names; {advice}pass "
             "trust=True (--trust) if you know where the file comes from"
         )
 

@@ -203,8 +203,8 @@ def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     first, *_ = list_split_scenes("s3", "test", get_prescribed_side)
     write_layout(tmp_path / "handover" / "data", (FakeScene(first),))
 
-    def one_scene(split: tuple[int, ...], scenes: Iterable[int] | None, where: str) -> tuple[int, ...]:
-        return choose_scenes(split, scenes, where)[:1]
+    def one_scene(split: tuple[int, ...], scenes: Iterable[int] | None, split_label: str) -> tuple[int, ...]:
+        return choose_scenes(split, scenes, split_label)[:1]
 
     monkeypatch.setattr("handover_marl.evaluation.config.choose_scenes", one_scene)
     for test, steps in ((testing.check_receiver, RECEIVER_STEPS), (testing.check_giver, GIVER_STEPS)):

@@ -131,7 +131,7 @@ def test_yang_receiver_on_s0_val(recordings: Path, real_dataset: OfficialDataset
 
 
 def test_goal_set_holds_the_goal_of_the_original(real_dataset: OfficialDataset, recordings: Path) -> None:
-    """One of the planner's goals has the tail of the plan in HandoverSim's demonstration of scene 105."""
+    """One of the planner's goals has the approach of the plan in HandoverSim's demonstration of scene 105."""
     receiver = receivers.make("omg", real_dataset)
     assert isinstance(receiver, OmgReceiver)
     episode = Episode("fast")
@@ -144,6 +144,6 @@ def test_goal_set_holds_the_goal_of_the_original(real_dataset: OfficialDataset, 
     with np.load(recordings / "scene105_demo.npz") as recorded:
         actions = recorded["action"]
     changes = np.flatnonzero(np.abs(np.diff(actions, axis=0)).max(axis=1) > 1e-7) + 1
-    # The approach has 30 waypoints, the tail the last five of them.
-    tail = actions[changes[25:30], :7]
-    assert np.abs(receiver.plan.goals.tails - tail).max(axis=(1, 2)).min() < 1e-4
+    # The plan has 30 waypoints, the approach the last five of them.
+    approach = actions[changes[25:30], :7]
+    assert np.abs(receiver.plan.goals.approaches - approach).max(axis=(1, 2)).min() < 1e-4

@@ -16,17 +16,17 @@ from tests.planning.robots import ARM, LIMITS, START
 
 BODY = sample_body_points(SyntheticDataset().panda_urdf, tuple(ARM.link_names), 15)
 GOAL = np.array([0.4, 0.2, -0.3, -1.8, 0.3, 2.2, 0.6])
-TAIL = 5
+N_APPROACH = 5
 
 
 def make_cost(obstacles: tuple[Obstacle, ...] = ()) -> ObstacleCost:
-    return ObstacleCost(ARM, BODY, obstacles, TAIL)
+    return ObstacleCost(ARM, BODY, obstacles, N_APPROACH)
 
 
-def make_sphere(center: np.ndarray, radius: float = 0.1, in_tail: bool = False) -> Obstacle:
+def make_sphere(center: np.ndarray, radius: float = 0.1, is_hand: bool = False) -> Obstacle:
     corner = np.full(3, radius + 0.25)
     field = sample_distance_field(lambda points: np.linalg.norm(points, axis=1) - radius, -corner, corner, 0.01)
-    return Obstacle(field, np.array([*center, 0.0, 0.0, 0.0, 1.0]), 0.2, in_tail=in_tail)
+    return Obstacle(field, np.array([*center, 0.0, 0.0, 0.0, 1.0]), 0.2, active_in_approach=is_hand)
 
 
 def chomp(cost: ObstacleCost) -> Chomp:
@@ -42,23 +42,23 @@ def test_goals_behind_an_obstacle_are_expensive() -> None:
     assert blocked > 1.3 * clear
 
 
-def test_tails_have_no_cost_except_for_the_hand() -> None:
+def test_approaches_have_no_cost_except_for_the_hand() -> None:
     end = ARM.compute_chain_frames(GOAL[None]).origins[-1][:, 0]
     goals, free = GOAL[None], np.zeros((1, 30), dtype=bool)
     charged = make_cost((make_sphere(end),)).evaluate_lines(START, goals, 30, free)
-    free[:, -TAIL:] = True
+    free[:, -N_APPROACH:] = True
     assert make_cost((make_sphere(end),)).evaluate_lines(START, goals, 30, free) < charged
-    assert make_cost((make_sphere(end, in_tail=True),)).evaluate_lines(START, goals, 30, free) == pytest.approx(charged)
+    assert make_cost((make_sphere(end, is_hand=True),)).evaluate_lines(START, goals, 30, free) == pytest.approx(charged)
 
 
 def test_steps_avoid_an_obstacle() -> None:
     path = make_initial_trajectory(START, GOAL, 30)
     place = ARM.compute_chain_frames(path[12:13]).origins[-1][:, 0] + [0.0, 0.0, -0.15]
     optimizer = chomp(make_cost((make_sphere(place),)))
-    tail = np.repeat(GOAL[None], TAIL, axis=0)
+    approach = np.repeat(GOAL[None], N_APPROACH, axis=0)
     before = np.linalg.norm(ARM.compute_chain_frames(path).origins[-1] - place[:, None], axis=0).min()
     for number in range(1, 15):
-        path = optimizer.step(path, tail, number)
+        path = optimizer.step(path, approach, number)
     after = np.linalg.norm(ARM.compute_chain_frames(path).origins[-1] - place[:, None], axis=0).min()
     assert after > before + 0.02
 
@@ -87,9 +87,9 @@ def goals() -> GoalSet:
 
 def test_tails_are_straight_and_end_at_the_grasps(goals: GoalSet) -> None:
     assert len(goals) > 5
-    for step in range(goal_set.N_TAIL):
-        chain = ARM.compute_chain_frames(goals.tails[:, step])
-        back = goal_set._STANDOFF / goal_set.N_TAIL * (goal_set.N_TAIL - 1 - step)
+    for step in range(goal_set.N_APPROACH):
+        chain = ARM.compute_chain_frames(goals.approaches[:, step])
+        back = goal_set._STANDOFF / goal_set.N_APPROACH * (goal_set.N_APPROACH - 1 - step)
         wanted = grasps()[goals.grasps]
         axis = chain.rotations[-1][:, 2]
         np.testing.assert_allclose(chain.origins[-1].T, wanted[:, :3] - back * axis.T, atol=1e-5)
@@ -103,8 +103,8 @@ def test_tails_are_straight_and_end_at_the_grasps(goals: GoalSet) -> None:
 
 
 def test_goals_satisfy_all_limits(goals: GoalSet) -> None:
-    assert (goals.tails >= LIMITS[0]).all()
-    assert (goals.tails <= LIMITS[1]).all()
+    assert (goals.approaches >= LIMITS[0]).all()
+    assert (goals.approaches <= LIMITS[1]).all()
     for number, standoff in enumerate(goals.standoffs):
         others = np.delete(goals.standoffs, number, axis=0)
         assert np.linalg.norm(others - standoff, axis=1).min() >= goal_set._MIN_GOAL_DISTANCE

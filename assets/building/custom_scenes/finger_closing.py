@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.assets.building.custom_scenes.motion_tables import OBJECT, MotionTable
 from handover_marl.assets.hand_model import SUBJECT_SIZES, Side
-from handover_marl.datasets.generated.grasps import SKIN_YIELD, close_fingers, measure_body
+from handover_marl.datasets.generated.grasps import SKIN_YIELD, close_fingers, compute_palm_distances
 from handover_marl.datasets.generated.hands import Palms, make_hand_templates
 from handover_marl.datasets.generated.motion import minimum_jerk
 from handover_marl.datasets.generated.shapes import Solid
@@ -78,7 +78,7 @@ def find_hand_grasp(
     fault = f"a hand inside of it wherever the wrist is moved by at most {1000.0 * MAX_SHIFT:.0f} mm"
     for shift in _SHIFTS:
         palm = Palms((position + rotation @ shift)[None], rotation[None])
-        if measure_body(solid, palm, *templates.palm)[0] < -_MAX_PALM_OVERLAP:
+        if compute_palm_distances(solid, palm, *templates.palm)[0] < -_MAX_PALM_OVERLAP:
             continue
         rows = np.arange(len(templates.openings))
         gaps = solid.compute_distances(palm[0 * rows].transform(templates.path[:, 0])) - templates.radii
@@ -101,7 +101,7 @@ def find_hand_grasp(
         opened = templates.openings.posture[free[[best]]].compute_joint_angles()[0]
         angles = closed.posture.compute_joint_angles()[best]
         return opened * signs, angles * signs, shift * _MIRROR if is_left else shift
-    distance = 1000.0 * float(measure_body(solid, Palms(position[None], rotation[None]), *templates.palm)[0])
+    distance = 1000.0 * float(compute_palm_distances(solid, Palms(position[None], rotation[None]), *templates.palm)[0])
     where = f"{distance:.0f} mm away from it" if distance > 0.0 else f"{-distance:.0f} mm inside of it"
     raise DataFormatError(
         f"wrist must be where the fingers reach around the object when it is picked up ({place}), got {fault}, and a "

@@ -227,14 +227,14 @@ def _match_paths(source: Path, paths: Iterable[Path]) -> dict[Path, str]:
     return next(iter(roots.values()))
 
 
-def write_stand_ins(models: Path, assets: Path, workers: int, progress: bool) -> list[str]:
-    """Write stand-ins for files missing in `assets` if DexYCB's `models` folder exists; return messages on failures."""
-    if not models.is_dir():
+def write_stand_ins(dexycb_models: Path, assets: Path, workers: int, progress: bool) -> list[str]:
+    """Write stand-ins for files missing in `assets` if the folder `dexycb_models` exists; return error messages."""
+    if not dexycb_models.is_dir():
         return []
     for name in CLASS_NAMES.values():
         for path in (f"{name}/{file}" for file in _VISUAL_FILES):
-            if (models / path).exists() and not (assets / path).exists():
-                write_missing_files(assets, {path: (models / path).read_bytes()})
+            if (dexycb_models / path).exists() and not (assets / path).exists():
+                write_missing_files(assets, {path: (dexycb_models / path).read_bytes()})
         path, grasps = f"grasps/{name}.npy", load_object_grasps(name)
         if grasps is not None and not (assets / path).exists():
             stream = io.BytesIO()

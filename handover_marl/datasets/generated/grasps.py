@@ -162,7 +162,7 @@ def find_free_hands(solid: Solid, templates: HandTemplates, palms: Palms, rows: 
     return kept[(distances - np.concatenate(radii) > limits).all(axis=1)]
 
 
-def measure_body(solid: Solid, palms: Palms, centers: Array, radii: Array) -> Array:
+def compute_palm_distances(solid: Solid, palms: Palms, centers: Array, radii: Array) -> Array:
     """Return smallest distances (n,) (m) of an object from spheres (`centers` (k, 3), `radii` (k,)) on n palms."""
     points = palms.transform(np.broadcast_to(centers, (len(palms), *centers.shape)))
     return np.asarray((solid.compute_distances(points) - radii).min(axis=1))
@@ -235,13 +235,13 @@ def _find_firm_grasps(solid: Solid, templates: HandTemplates, palms: Palms, clos
     count = touching[:, :4].sum(axis=1)
     opposed = (facing.sum(axis=1) < -0.2 * count) & (facing.min(axis=1) < -0.4)
     holds = touching[:, 4] & (count >= 2) & touching[:, :2].any(axis=1)
-    body = measure_body(solid, palms, *templates.palm)
+    palm_distances = compute_palm_distances(solid, palms, *templates.palm)
     # Rounding of the steps can press a finger deeper than the skin yields.
     shallow = closed.gaps.min(axis=(1, 2)) > -2.0 * SKIN_YIELD
     thumb, fingers = closed.centers[:, 4].reshape(n, -1, 1, 3), closed.centers[:, :4].reshape(n, 1, -1, 3)
     apart = np.linalg.norm(thumb - fingers, axis=-1) - templates.radii[4][:, None] - templates.radii[:4].ravel()
     crossing = -apart.min(axis=(1, 2))
-    return np.asarray(holds & opposed & shallow & (body > -_PALM_YIELD) & (crossing < 0.005))
+    return np.asarray(holds & opposed & shallow & (palm_distances > -_PALM_YIELD) & (crossing < 0.005))
 
 
 def _encode_grasps(templates: HandTemplates, palms: Palms, rows: Ints, closed: ClosedHands, side: Side) -> HumanGrasps:

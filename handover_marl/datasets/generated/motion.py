@@ -90,20 +90,20 @@ class HandoverTiming:
     """Keyframe numbers of the events of a handover, and the visible part of the reach.
 
     Attributes:
-        n_frames: Number of keyframes.
-        onset: Frame in which the hand becomes visible.
-        grasp: Frame in which the hand reaches the object and starts to close.
-        lift: Frame in which the fingers are closed and the object leaves the table.
-        arrival: Frame in which the object reaches the handover pose.
+        n_keyframes: Number of keyframes.
+        onset_keyframe: Keyframe in which the hand becomes visible.
+        grasp_keyframe: Keyframe in which the hand reaches the object and starts to close.
+        lift_keyframe: Keyframe in which the fingers are closed and the object leaves the table.
+        arrival_keyframe: Keyframe in which the object reaches the handover pose.
         onset_share: Fraction (0 to 1) of the reach's duration that has passed at the onset.
         reach: Length of the wrist's path from the onset to the grasp (m).
     """
 
-    n_frames: int
-    onset: int
-    grasp: int
-    lift: int
-    arrival: int
+    n_keyframes: int
+    onset_keyframe: int
+    grasp_keyframe: int
+    lift_keyframe: int
+    arrival_keyframe: int
     onset_share: float
     reach: float
 
@@ -118,7 +118,7 @@ def draw_motion(seed: Seed, placement: ObjectPlacement, giver: SimulatedGiver) -
     entry[0] = MIRROR_X + side_sign * (entry[0] - MIRROR_X)
     wrist = placement.start[0] + placement.start[1] @ giver.keypoints[placement.grasp, 0]
     timing = _draw_timing(
-        open_stream(seed, "timing"), speed, float(np.linalg.norm(entry - wrist)), handover_path.min_duration(speed)
+        open_stream(seed, "timing"), speed, float(np.linalg.norm(entry - wrist)), handover_path.compute_duration(speed)
     )
     sway = np.array([random.uniform(-0.004, 0.004) for _ in range(3)])
     position, rotation = handover_path.sample_keyframes(timing, sway)
@@ -136,12 +136,12 @@ def _draw_timing(random: RandomStream, speed: float, entry_distance: float, lift
 
     If the recording is too short for them, reach and lift are shortened.
     """
-    n_frames = list(FRAME_COUNTS)[random.weighted_index(list(FRAME_COUNTS.values()))]
+    n_keyframes = list(FRAME_COUNTS)[random.weighted_index(list(FRAME_COUNTS.values()))]
     onset = round(random.draw_quantile("hand_onset"))
     onset_share = random.uniform(0.05, 0.40)
     close = _CLOSING_FRAMES[0] + random.integer(_CLOSING_FRAMES[1] - _CLOSING_FRAMES[0])
     lift_frames = int(np.ceil(lift_time / KEYFRAME_PERIOD)) + random.integer(8)
-    latest = n_frames - 1 - _HOLD_FRAMES
+    latest = n_keyframes - 1 - _HOLD_FRAMES
     visible_share = 1.0 - float(minimum_jerk(onset_share))
     reach = max(entry_distance, _MIN_REACH_LENGTH)
     frames_per_m = _PEAK_SPEED_RATIO * (1.0 - onset_share) / (visible_share * speed * KEYFRAME_PERIOD)
@@ -155,7 +155,7 @@ def _draw_timing(random: RandomStream, speed: float, entry_distance: float, lift
         lift_frames, spare = max(8, lift_frames + spare), 0
     pause = random.integer(spare + 1) // 3
     lift = grasp + close + pause
-    return HandoverTiming(n_frames, onset, grasp, lift, min(lift + lift_frames, n_frames - 1), onset_share, reach)
+    return HandoverTiming(n_keyframes, onset, grasp, lift, min(lift + lift_frames, n_keyframes - 1), onset_share, reach)
 
 
 class _HandoverPath:
@@ -188,7 +188,7 @@ class _HandoverPath:
         turns = Rotation.from_rotvec(shares[:, None] * self._turn).as_quat()
         return positions, Rotation.from_quat(multiply_quaternions(self._first, turns))
 
-    def min_duration(self, speed: float) -> float:
+    def compute_duration(self, speed: float) -> float:
         """Return the duration (s) of the path at a wrist's peak speed of 0.95 `speed` (m/s), but at least 0.4 s."""
         position, rotation = self.sample(minimum_jerk(_SAMPLES))
         wrist = position + rotation.apply(self._wrist)
@@ -197,11 +197,11 @@ class _HandoverPath:
 
     def sample_keyframes(self, timing: HandoverTiming, sway: Array) -> tuple[Array, Rotation]:
         """Return positions (T, 3) and rotations of the object, which sways by up to `sway` (3,) (m) while held out."""
-        frames = np.arange(timing.n_frames)
-        progress = minimum_jerk((frames - timing.lift) / (timing.arrival - timing.lift))
+        frames = np.arange(timing.n_keyframes)
+        progress = minimum_jerk((frames - timing.lift_keyframe) / (timing.arrival_keyframe - timing.lift_keyframe))
         position, rotation = self.sample(progress)
-        rest = max(timing.n_frames - 1 - timing.arrival, 1)
-        held = np.clip((frames - timing.arrival) / rest, 0.0, 1.0)
+        rest = max(timing.n_keyframes - 1 - timing.arrival_keyframe, 1)
+        held = np.clip((frames - timing.arrival_keyframe) / rest, 0.0, 1.0)
         position += sway * (0.5 - 0.5 * np.cos(2.0 * np.pi * held))[:, None]
         return position, rotation
 
@@ -230,23 +230,23 @@ def _add_hand_motion(
     object_from_hand = Rotation.from_matrix(giver.object_from_hand[row])
     base_rotation = Rotation.from_quat(multiply_quaternions(rotation.as_quat(), object_from_hand.as_quat()))
     wrist = position + rotation.apply(giver.keypoints[row, 0])
-    reaching = np.arange(timing.onset, timing.grasp)
+    onset, grasp, n_closing = timing.onset_keyframe, timing.grasp_keyframe, timing.lift_keyframe - timing.grasp_keyframe
+    reaching = np.arange(onset, grasp)
     # Progress along the visible part of the reach, 0 to 1.
-    time = (reaching - timing.onset) / (timing.grasp - timing.onset)
-    shares = minimum_jerk(timing.onset_share + (1.0 - timing.onset_share) * time)
+    shares = minimum_jerk(timing.onset_share + (1.0 - timing.onset_share) * ((reaching - onset) / (grasp - onset)))
     progress = (shares - minimum_jerk(timing.onset_share)) / (1.0 - minimum_jerk(timing.onset_share))
     start_rotation = Rotation.from_matrix(placement.start[1])
     finger_direction = start_rotation.apply(grasps.finger_direction[row])
-    wrist[reaching] = _compute_reach_path(entry, wrist[timing.grasp], finger_direction, timing.reach, progress)
-    turns = _compute_reach_rotations(wrist[timing.onset], wrist[timing.grasp], finger_direction, progress)
+    wrist[reaching] = _compute_reach_path(entry, wrist[grasp], finger_direction, timing.reach, progress)
+    turns = _compute_reach_rotations(wrist[onset], wrist[grasp], finger_direction, progress)
     rotations = base_rotation.as_quat()
-    rotations[reaching] = multiply_quaternions(turns.as_quat(), rotations[timing.grasp])
-    closing = minimum_jerk((np.arange(timing.n_frames) - timing.grasp) / (timing.lift - timing.grasp))[:, None]
+    rotations[reaching] = multiply_quaternions(turns.as_quat(), rotations[grasp])
+    closing = minimum_jerk((np.arange(timing.n_keyframes) - grasp) / n_closing)[:, None]
     fingers = (1.0 - closing) * grasps.open_angles[row] + closing * grasps.finger_angles[row]
     base_rotation = Rotation.from_quat(rotations)
     base = wrist - base_rotation.apply(giver.hand.palm_offset)
     base[reaching, 2] += _compute_height_offsets(giver, base, base_rotation, fingers, reaching)
-    return KeyframeMotion(position, rotation, base, base_rotation, fingers, timing.onset)
+    return KeyframeMotion(position, rotation, base, base_rotation, fingers, onset)
 
 
 def _compute_reach_path(entry: Array, end: Array, finger_direction: Array, length: float, progress: Array) -> Array:

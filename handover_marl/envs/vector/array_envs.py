@@ -110,7 +110,7 @@ class ArrayEpisodes:
         """Return for each of the episodes `rows` whether it has terminated or was truncated, (r,)."""
         return self._terminated[rows] | self._truncated[rows]
 
-    def find_without_outputs(self, rows: AnyIndices) -> AnyIndices:
+    def find_rows_without_outputs(self, rows: AnyIndices) -> AnyIndices:
         """Return the `rows` whose running episode needs no network outputs now; none with two agents or no scheme."""
         if len(self._agents) > 1 or not self._schemes:
             return rows[:0]
@@ -156,8 +156,8 @@ class ArrayEpisodes:
         while len(rows):
             until = ends
             if self._partner is not None:
-                actions[agent], due = self._partner.act(rows, observe, episodes.referees.steps[rows])
-                until = xp.minimum(ends, due)
+                actions[agent], next_steps = self._partner.act(rows, observe, episodes.referees.steps[rows])
+                until = xp.minimum(ends, next_steps)
             # For NumPy several times as fast as `xp.clip`.
             actions[GIVER] = xp.minimum(xp.maximum(actions[GIVER], low), high)
             first = first or dict(actions)
@@ -214,7 +214,7 @@ class ArrayEpisodes:
 
 
 class ArrayEnvs:
-    """Environments of one configuration whose episodes are simulated together; see `batch.Envs`.
+    """Environments of one configuration whose episodes are simulated together; see `batch.EnvGroup`.
 
     Environment k behaves like a single environment with the wrappers `control_agent` and `encode` that draws the same
     scenes. Action schemes may need no outputs in the first control periods of an episode, for example while the robot
@@ -251,7 +251,7 @@ class ArrayEnvs:
         self._rngs_before: list[tuple[np.random.Generator, np.random.Generator] | None] = [None] * count
 
     def reset(self, rows: Indices, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
-        """Start episodes, and simulate them until an action scheme needs outputs; see `batch.Envs.reset`."""
+        """Start episodes, and simulate them until an action scheme needs outputs; see `batch.EnvGroup.reset`."""
         for row, seed in zip(rows.tolist(), seeds, strict=True):
             before = self._rngs_before[row]
             if (seed is not None or options) and self._next[row] != _NONE and before is not None:
@@ -268,7 +268,7 @@ class ArrayEnvs:
                 else:
                     self._current[row], self._free[row], self._next[row] = self._next[row], self._current[row], _NONE
             current = self.arrays.asarray(self._current[left])
-            while len(waiting := episodes.find_without_outputs(current)):
+            while len(waiting := episodes.find_rows_without_outputs(current)):
                 episodes.clear_rewards(waiting)
                 episodes.advance(waiting, {})
             left = left[to_numpy(episodes.have_ended(current))]
@@ -280,7 +280,7 @@ class ArrayEnvs:
         return result._replace(rewards={agent: self.arrays.zeros(len(rows)) for agent in self._agents})
 
     def step(self, rows: Indices, actions: ByAgent) -> EnvResult:
-        """Let the agents act for one control period, or until an action scheme needs outputs; see `batch.Envs.step`."""
+        """Let the agents act for one control period, or until a scheme needs outputs; see `batch.EnvGroup.step`."""
         episodes, current = self._episodes, self.arrays.asarray(self._current[rows])
         without_next = rows[self._next[rows] == _NONE] if self._prefetches else rows[:0]
         for row in without_next.tolist():
@@ -291,10 +291,10 @@ class ArrayEnvs:
         episodes.clear_rewards(current)
         active = current
         while len(active):
-            coming = episodes.find_without_outputs(self.arrays.asarray(self._next[self._next != _NONE]))
+            coming = episodes.find_rows_without_outputs(self.arrays.asarray(self._next[self._next != _NONE]))
             episodes.clear_rewards(coming)
             episodes.advance(self.arrays.xp.concat([active, coming]), actions)
-            active = episodes.find_without_outputs(active)
+            active = episodes.find_rows_without_outputs(active)
         return episodes.make_result(current)
 
     def render(self) -> None:

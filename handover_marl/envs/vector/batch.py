@@ -126,7 +126,7 @@ def _first_array(values: Any) -> AnyArray:
     return values
 
 
-class Envs(Protocol):
+class EnvGroup(Protocol):
     """Interface of environments that are simulated together, in arrays that the attribute `arrays` creates.
 
     The argument `rows` of methods has indices of environments, a NumPy array.

@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium.vector.utils import concatenate, create_empty_array
 from loky.backend import get_context
 
-from handover_marl.envs.vector.batch import EnvResult, Envs, merge_results, select_rows
+from handover_marl.envs.vector.batch import EnvGroup, EnvResult, merge_results, select_rows
 from handover_marl.envs.wrappers.wrapper import ByAgent, WrappableEnv
 from handover_marl.errors import WorkerError
 from handover_marl.execution.tasks import convert_error, pickle_by_value, unpickle
@@ -19,7 +19,7 @@ from handover_marl.geometry.arrays import NUMPY_ARRAYS, Indices
 
 
 class SingleEnvs:
-    """Group of `count` environments that `make` makes one by one, each simulated on its own; see `batch.Envs`."""
+    """Group of `count` environments that `make` makes one by one, each simulated on its own; see `batch.EnvGroup`."""
 
     arrays = NUMPY_ARRAYS
 
@@ -27,7 +27,7 @@ class SingleEnvs:
         self.envs = [make() for _ in range(count)]
 
     def reset(self, rows: Indices, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
-        """Start episodes in the environments `rows` (r,), with a seed for each; see `batch.Envs.reset`."""
+        """Start episodes in the environments `rows` (r,), with a seed for each; see `batch.EnvGroup.reset`."""
         own_options = None if options is None else dict(options)
         starts = [
             self.envs[row].reset(seed=seed, options=own_options) for row, seed in zip(rows.tolist(), seeds, strict=True)
@@ -39,7 +39,7 @@ class SingleEnvs:
         return EnvResult(self._stack(observations), rewards, flags, flags, _stack_infos(infos))
 
     def step(self, rows: Indices, actions: ByAgent) -> EnvResult:
-        """Step the environments `rows` (r,) with actions (r, ...) by agent; see `batch.Envs.step`."""
+        """Step the environments `rows` (r,) with actions (r, ...) by agent; see `batch.EnvGroup.step`."""
         steps = [
             self.envs[row].step({agent: values[number] for agent, values in actions.items()})
             for number, row in enumerate(rows.tolist())
@@ -75,7 +75,7 @@ def _stack_infos(infos: Sequence[ByAgent]) -> ByAgent:
 
 
 class GroupedEnvs:
-    """Environments in groups that are simulated at the same time; see `batch.Envs`.
+    """Environments in groups that are simulated at the same time; see `batch.EnvGroup`.
 
     Args:
         make: Function that makes the environments of a group; it gets the number of these environments.
@@ -83,7 +83,7 @@ class GroupedEnvs:
         n_groups: Number of groups, at least 2 and at most `count`.
     """
 
-    def __init__(self, make: Callable[[int], Envs], count: int, n_groups: int) -> None:
+    def __init__(self, make: Callable[[int], EnvGroup], count: int, n_groups: int) -> None:
         group_rows = np.array_split(np.arange(count), n_groups)
         self._groups = [make(len(rows)) for rows in group_rows]
         self._firsts = [int(rows[0]) for rows in group_rows]
@@ -91,16 +91,16 @@ class GroupedEnvs:
         self._pool = ThreadPoolExecutor(n_groups)
 
     def reset(self, rows: Indices, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
-        """Start episodes in the environments `rows` (r,), with a seed for each; see `batch.Envs.reset`."""
+        """Start episodes in the environments `rows` (r,), with a seed for each; see `batch.EnvGroup.reset`."""
 
-        def reset(group: Envs, own_rows: Indices, places: Indices) -> EnvResult:
-            return group.reset(own_rows, [seeds[place] for place in places.tolist()], options)
+        def reset(group: EnvGroup, group_rows: Indices, indices: Indices) -> EnvResult:
+            return group.reset(group_rows, [seeds[index] for index in indices.tolist()], options)
 
         return self._map(rows, reset)
 
     def step(self, rows: Indices, actions: ByAgent) -> EnvResult:
-        """Step the environments `rows` (r,) with checked actions (r, ...) by agent; see `batch.Envs.step`."""
-        return self._map(rows, lambda group, own_rows, places: group.step(own_rows, select_rows(actions, places)))
+        """Step the environments `rows` (r,) with checked actions (r, ...) by agent; see `batch.EnvGroup.step`."""
+        return self._map(rows, lambda group, group_rows, indices: group.step(group_rows, select_rows(actions, indices)))
 
     def render(self) -> list[Any] | None:
         """Return the RGB image (height, width, 3) of each environment; None unless `render_mode` is "rgb_array"."""
@@ -113,25 +113,25 @@ class GroupedEnvs:
             group.close()
         self._pool.shutdown()
 
-    def _map(self, rows: Indices, function: Callable[[Envs, Indices, Indices], EnvResult]) -> EnvResult:
+    def _map(self, rows: Indices, function: Callable[[EnvGroup, Indices, Indices], EnvResult]) -> EnvResult:
         """Call a function for each group with some of the environments `rows` (r,), ascending, and join the results.
 
-        The function gets a group, indices of environments in the group, and the places of these in `rows`.
+        The function gets a group, indices of environments in the group, and the indices of these in `rows`.
         """
         numbers = np.searchsorted(self._firsts, rows, side="right") - 1
-        futures, all_places = [], [np.flatnonzero(numbers == number) for number in range(len(self._groups))]
-        for group, first, places in zip(self._groups, self._firsts, all_places, strict=True):
-            if len(places):
-                futures.append((places, self._pool.submit(function, group, rows[places] - first, places)))
+        futures, group_indices = [], [np.flatnonzero(numbers == number) for number in range(len(self._groups))]
+        for group, first, indices in zip(self._groups, self._firsts, group_indices, strict=True):
+            if len(indices):
+                futures.append((indices, self._pool.submit(function, group, rows[indices] - first, indices)))
         # All groups finish before the first error is raised.
         errors = [error for _, future in futures if (error := future.exception()) is not None]
         if errors:
             raise errors[0]
-        return merge_results(len(rows), [(places, future.result()) for places, future in futures])
+        return merge_results(len(rows), [(indices, future.result()) for indices, future in futures])
 
 
 class ProcessEnvs:
-    """Environments of one configuration in a process of their own; see `batch.Envs`.
+    """Environments of one configuration in a process of their own; see `batch.EnvGroup`.
 
     Threads of one process run at the same time only while MuJoCo simulates; processes always do. The process starts at
     once. The first call waits for the process, and raises the errors of `make`.
@@ -143,7 +143,7 @@ class ProcessEnvs:
 
     arrays = NUMPY_ARRAYS
 
-    def __init__(self, make: Callable[[int], Envs], count: int) -> None:
+    def __init__(self, make: Callable[[int], EnvGroup], count: int) -> None:
         # Loky's processes do not import the main module of the program.
         context = get_context("loky")
         self._pipe, child = context.Pipe()
@@ -153,12 +153,12 @@ class ProcessEnvs:
         self._is_ready = self._is_closed = False
 
     def reset(self, rows: Indices, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
-        """Start episodes in the environments `rows` (r,), with a seed for each; see `batch.Envs.reset`."""
+        """Start episodes in the environments `rows` (r,), with a seed for each; see `batch.EnvGroup.reset`."""
         result: EnvResult = self._call("reset", rows, seeds, options)
         return result
 
     def step(self, rows: Indices, actions: ByAgent) -> EnvResult:
-        """Step the environments `rows` (r,) with checked actions (r, ...) by agent; see `batch.Envs.step`."""
+        """Step the environments `rows` (r,) with checked actions (r, ...) by agent; see `batch.EnvGroup.step`."""
         result: EnvResult = self._call("step", rows, actions)
         return result
 
@@ -205,7 +205,7 @@ def _run_worker(pipe: Connection, pickled: bytes) -> None:
     with contextlib.suppress(KeyboardInterrupt, EOFError, OSError):
         try:
             make, count = unpickle(pickled)
-            envs: Envs = make(count)
+            envs: EnvGroup = make(count)
         except Exception as error:
             pipe.send(convert_error(error, "making environments"))
             return

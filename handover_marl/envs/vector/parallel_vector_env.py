@@ -12,8 +12,8 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from handover_marl.envs.vector.batch import (
+    EnvGroup,
     EnvResult,
-    Envs,
     check_action_array,
     copy_containers,
     make_final_infos,
@@ -55,7 +55,7 @@ class ParallelVectorEnv:
         metadata: Metadata of a single environment, and `autoreset_mode`.
     """
 
-    def __init__(self, envs: Envs, template: WrappableEnv, num_envs: int, autoreset: AutoresetMode) -> None:
+    def __init__(self, envs: EnvGroup, template: WrappableEnv, num_envs: int, autoreset: AutoresetMode) -> None:
         self._envs, self._arrays, self._template = envs, envs.arrays, template
         self.num_envs, self.autoreset_mode = num_envs, autoreset
         self.possible_agents: list[str] = list(template.possible_agents)

@@ -50,8 +50,8 @@ class PopulationBatch(PolicyBatch):
             group_rows = arrays.asarray(group)
             found.append(self._batches[numbers[group[0]]].act(rows[group_rows], observe, steps[group_rows]))
         order = arrays.asarray(np.argsort(np.concatenate(groups)))
-        actions, due = (arrays.xp.concat(list(parts))[order] for parts in zip(*found, strict=True))
-        return actions, due
+        actions, next_steps = (arrays.xp.concat(list(parts))[order] for parts in zip(*found, strict=True))
+        return actions, next_steps
 
 
 def make_policy_batch(

@@ -14,7 +14,7 @@ from handover_marl.envs.custom_rewards import resolve_rewards
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.rewards import RewardWeights
 from handover_marl.envs.vector.array_envs import ArrayEnvs
-from handover_marl.envs.vector.batch import Envs
+from handover_marl.envs.vector.batch import EnvGroup
 from handover_marl.envs.vector.env_groups import GroupedEnvs, ProcessEnvs, SingleEnvs
 from handover_marl.envs.vector.parallel_vector_env import ParallelVectorEnv
 from handover_marl.envs.wrappers.control_agent import FixedPartnerEnv, control_agent
@@ -216,7 +216,7 @@ def vector_env(
     if backend == WARP:
         _check_device(template, uses_arrays)
     # Groups share the template and the scenes; processes make their own.
-    make: Callable[..., Envs] = functools.partial(_make_envs, make_single, autoreset != "disabled", chosen_backend)
+    make: Callable[..., EnvGroup] = functools.partial(_make_envs, make_single, autoreset != "disabled", chosen_backend)
     if processes is not None:
         n_groups, make = processes, functools.partial(ProcessEnvs, make)
     else:
@@ -235,7 +235,7 @@ def _make_envs(
     count: int,
     template: WrappableEnv | None = None,
     load_scene: Callable[[int], Scene] | None = None,
-) -> Envs:
+) -> EnvGroup:
     """Make `count` environments, which one thread simulates; `make_single` makes one of them.
 
     With `prefetches`, next episodes may be simulated in advance, because `reset` gets no options after the end of an

@@ -136,14 +136,14 @@ class StrangersReport(TabularResult):
             "largest_partner_contact": estimate_rate(compute_max_over_partners, self.contacts, None),
         }
 
-    def _estimate_means(self, chosen: Sequence[int]) -> dict[str, Estimate]:
-        """Return estimates of success, contact and AS over the partners with the indices `chosen`, by key."""
-        families = [self.partners[number].family for number in chosen]
-        success = estimate_rate(compute_mean, self.successes[:, chosen], families)
-        score = estimate(compute_mean, self.scores[:, chosen], families)
+    def _estimate_means(self, indices: Sequence[int]) -> dict[str, Estimate]:
+        """Return estimates of success, contact and AS over the partners with some `indices`, by key."""
+        families = [self.partners[number].family for number in indices]
+        success = estimate_rate(compute_mean, self.successes[:, indices], families)
+        score = estimate(compute_mean, self.scores[:, indices], families)
         return {
             "success": success,
-            "contact": estimate_rate(compute_mean, self.contacts[:, chosen], families),
+            "contact": estimate_rate(compute_mean, self.contacts[:, indices], families),
             # Without a success the jackknife has no width, as in `estimate_average_success`.
             AVERAGE_SUCCESS.key: score if score.mean else replace(score, interval_95=success.interval_95),
         }
@@ -162,8 +162,8 @@ class StrangersReport(TabularResult):
         }
         summary = [[title, found[key].format()] for key, title in titles.items()]
         families = [
-            [family, *(mean.format() for mean in self._estimate_means(chosen).values()), self.scores[:, chosen].size]
-            for family, chosen in self.families.items()
+            [family, *(mean.format() for mean in self._estimate_means(indices).values()), self.scores[:, indices].size]
+            for family, indices in self.families.items()
         ]
         return [
             f"{self.agent.capitalize()} {', '.join(self.policies)} with {len(self.partners)} "
@@ -214,20 +214,20 @@ def list_differences(first: Mapping[str, object], second: Mapping[str, object]) 
     return [name for name, value in first.items() if value != second[name]]
 
 
-def make_report(crossplay: CrossPlay, population: Population, partners: str, agent: str) -> StrangersReport:
+def make_report(crossplay: CrossPlay, population: Population, split: str, agent: str) -> StrangersReport:
     """Make the report of `agent`'s policies, given their cross-play with a population's partners of a split."""
-    chosen, is_giver = population.select(OTHER_AGENT[agent], partners), agent == "giver"
+    partners, is_giver = population.select(OTHER_AGENT[agent], split), agent == "giver"
     names, labels = crossplay.givers, crossplay.receivers
     if not is_giver:
         names, labels = labels, names
-    if len(labels) != len(chosen):
-        raise ResultsError(f"the evaluation must have the {len(chosen)} partners of {partners!r}, got {len(labels)}")
+    if len(labels) != len(partners):
+        raise ResultsError(f"the evaluation must have the {len(partners)} partners of {split!r}, got {len(labels)}")
     reports = {
         (name, partner.name): crossplay.reports[(name, label) if is_giver else (label, name)]
         for name in names
-        for partner, label in zip(chosen, labels, strict=True)
+        for partner, label in zip(partners, labels, strict=True)
     }
-    return StrangersReport(population.label, partners, agent, names, chosen, reports)
+    return StrangersReport(population.label, split, agent, names, partners, reports)
 
 
 def read_entry(folder: Path) -> dict[str, str]:

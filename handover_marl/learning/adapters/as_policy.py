@@ -68,8 +68,8 @@ def as_receiver(
         UnsafeFileError: A file names a module, and is not trusted.
     """
     parse_obs_mode(obs_mode)
-    given = {"features": features, "actions": action_scheme, "control_period": control_period}
-    return _adapt("receiver", policy, given, obs_mode, name, trust)
+    overrides = {"features": features, "actions": action_scheme, "control_period": control_period}
+    return _adapt("receiver", policy, overrides, obs_mode, name, trust)
 
 
 def as_giver(
@@ -86,17 +86,17 @@ def as_giver(
     By default the outputs are a giver's action (8,), see `handover_marl.givers.make_giver_action`. Arguments and
     errors are those of `as_receiver`.
     """
-    given = {"features": features, "actions": action_scheme, "control_period": control_period}
-    return _adapt("giver", policy, given, STATE, name, trust)
+    overrides = {"features": features, "actions": action_scheme, "control_period": control_period}
+    return _adapt("giver", policy, overrides, STATE, name, trust)
 
 
 def _adapt(
-    agent: str, policy: Any, given: dict[str, Any], obs_mode: str, name: str | None, trust: bool
+    agent: str, policy: Any, overrides: dict[str, Any], obs_mode: str, name: str | None, trust: bool
 ) -> PolicyReference:
     check_boolean("trust", trust)
     if name is not None and not (isinstance(name, str) and name.strip()):
         raise OptionError(f"name must be text that is not empty, got {name!r}")
-    stem, function, spec = _read_model(agent, policy, given, obs_mode == STATE, trust)
+    stem, function, spec = _read_model(agent, policy, overrides, obs_mode == STATE, trust)
     spec = replace(spec, obs_mode=obs_mode)
     check_encodings(agent, spec.features, spec.actions)
     if spec.features in list_features(agent) and not has_state(obs_mode):
@@ -121,28 +121,28 @@ def _adapt(
 
 
 def _read_model(
-    agent: str, policy: Any, given: dict[str, Any], has_only_state: bool, trust: bool
+    agent: str, policy: Any, overrides: dict[str, Any], has_only_state: bool, trust: bool
 ) -> tuple[str, Callable[[Any], Any], PolicySpec]:
     """Return the default name, the function and the encoding of a model.
 
-    `given` are the fields of `PolicySpec` that the caller chose. If observations have no camera data
+    `overrides` are the fields of `PolicySpec` that the caller chose. If observations have no camera data
     (`has_only_state`), a PyTorch module gets flat vectors by default, else dicts.
     """
     if isinstance(policy, (str, os.PathLike)):
         path = Path(policy).expanduser()
-        spec, network, _ = read_policy(path, agent, trust, **given)
+        spec, network, _ = read_policy(path, agent, trust, **overrides)
         return path.stem, network, spec
     if is_sb3_model(policy):
         # Imports Stable-Baselines3, which made the model.
         from handover_marl.learning.adapters.sb3_models import dense_network_from_sb3, get_recorded_encoding
 
-        spec = complete_spec("policy", agent, get_recorded_encoding(policy), given)
+        spec = complete_spec("policy", agent, get_recorded_encoding(policy), overrides)
         return type(policy).__name__, dense_network_from_sb3(policy), spec
     stem, function = _wrap_function(policy)
     features, actions = RAW_ENCODINGS[agent]
     takes_vectors = isinstance(function, TorchFunction) and has_only_state
     recorded = {"features": features if takes_vectors else OBSERVATION, "actions": actions}
-    return stem, function, complete_spec("policy", agent, recorded, given)
+    return stem, function, complete_spec("policy", agent, recorded, overrides)
 
 
 def _wrap_function(policy: Any) -> tuple[str, Callable[[Any], Any]]:

@@ -66,8 +66,8 @@ def export_policy(
                 f"model must be a model of Stable-Baselines3 or a PyTorch module, got {type(model).__name__}"
             )
         network = replace(dense_network_from_module(model), normalization=normalization)
-    given = {"features": features, "actions": action_scheme, "control_period": control_period, "origin": origin}
-    spec = complete_spec("model", agent, recorded, given)
+    overrides = {"features": features, "actions": action_scheme, "control_period": control_period, "origin": origin}
+    spec = complete_spec("model", agent, recorded, overrides)
     for value in (spec.features, spec.actions):
         if not isinstance(value, str):
             raise OptionError(f"features and action_scheme must be names or text module:name, got {value!r}")

@@ -57,8 +57,8 @@ class ImitationLearner(ABC, Generic[Network, Batch]):
         max_gradient_norm: Largest norm of the gradient; longer gradients are scaled down.
         averaging: Decay of the exponential average of the weights; with 0 the weights are not averaged.
         use_bfloat16: Whether matrix products are computed in bfloat16.
-        done: Number of updates so far.
-        averaged: Network with the averaged weights, for use after training.
+        n_updates: Number of updates so far.
+        averaged_network: Network with the averaged weights, for use after training.
     """
 
     learning_rate, final_share, warmup, epsilon = 1e-3, 0.0, 1, 1e-8
@@ -68,12 +68,12 @@ class ImitationLearner(ABC, Generic[Network, Batch]):
         self._updates, self._device = updates, device
         self._network = network.to(device)
         self._averages = AveragedModel(self._network, avg_fn=self._average, use_buffers=True)
-        self.averaged: Network = self._averages.module.eval()  # type: ignore[assignment]
+        self.averaged_network: Network = self._averages.module.eval()  # type: ignore[assignment]
         groups = [
             {"params": list(parameters), "rate": rate} for parameters, rate in self.list_parameter_groups(network)
         ]
         self._optimizer = torch.optim.AdamW(groups, lr=self.learning_rate, weight_decay=_WEIGHT_DECAY, eps=self.epsilon)
-        self.done = 0
+        self.n_updates = 0
 
     @abstractmethod
     def compute_losses(self, network: Network, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
@@ -97,14 +97,14 @@ class ImitationLearner(ABC, Generic[Network, Batch]):
         torch.autograd.backward(loss)
         torch.nn.utils.clip_grad_norm_(self._network.parameters(), self.max_gradient_norm)
         self._optimizer.step()
-        self.done += 1
+        self.n_updates += 1
         self._averages.update_parameters(self._network)
         return {name: float(value.detach()) for name, value in losses.items()}
 
     def get_state(self) -> dict[str, Any]:
         """Return a dict with weights, averaged weights, optimizer state and number of updates, for a checkpoint."""
         return {
-            "done": self.done,
+            "done": self.n_updates,
             "network": self._network.state_dict(),
             "averaged": self._averages.state_dict(),
             "optimizer": self._optimizer.state_dict(),
@@ -115,18 +115,18 @@ class ImitationLearner(ABC, Generic[Network, Batch]):
         self._network.load_state_dict(state["network"])
         self._averages.load_state_dict(state["averaged"])
         self._optimizer.load_state_dict(state["optimizer"])
-        self.done = int(state["done"])
+        self.n_updates = int(state["done"])
 
     def _compute_rate_share(self) -> float:
         """Return the present learning rates as fraction of the largest ones."""
-        rise = min(1.0, (self.done + 1) / max(1, self.warmup))
-        fall = 0.5 * (1.0 + math.cos(math.pi * min(1.0, self.done / max(1, self._updates))))
+        rise = min(1.0, (self.n_updates + 1) / max(1, self.warmup))
+        fall = 0.5 * (1.0 + math.cos(math.pi * min(1.0, self.n_updates / max(1, self._updates))))
         return rise * (self.final_share + (1.0 - self.final_share) * fall)
 
     def _average(self, averaged: Tensor, current: Tensor, _: Tensor | int) -> Tensor:
         """Return the new average of a parameter or buffer, from its last average and its present value."""
         # Averages over few updates at first, so that the initial weights are soon forgotten.
-        decay = min(self.averaging, (1.0 + self.done) / (10.0 + self.done))
+        decay = min(self.averaging, (1.0 + self.n_updates) / (10.0 + self.n_updates))
         return decay * averaged + (1.0 - decay) * current
 
 
@@ -171,7 +171,7 @@ class ImitationRun:
         receiver: Name of the receiver; its script is `train_RECEIVER.py`, and the best network `RECEIVER.npz`.
         robot: Robot model of evaluations: panda or panda_camera.
         learner: Trainer of the network.
-        free: Names of arguments that may change when a run is resumed.
+        mutable_args: Names of arguments that may change when a run is resumed.
 
     Attributes:
         folder: Folder of the run.
@@ -185,18 +185,18 @@ class ImitationRun:
         receiver: str,
         robot: str,
         learner: ImitationLearner[Any, Any],
-        free: Sequence[str] = (),
+        mutable_args: Sequence[str] = (),
     ) -> None:
         data = args.open_dataset(robot)
-        free = ("workers", "threads", "device", *free)
-        self.folder = open_run_folder(Path(args.out), args, args.resume, data.name, free)
-        self._args, self._receiver, self._robot, self._learner, self._best = args, receiver, robot, learner, -1.0
+        mutable_args = ("workers", "threads", "device", *mutable_args)
+        self.folder = open_run_folder(Path(args.out), args, args.resume, data.name, mutable_args)
+        self._args, self._receiver, self._robot, self._learner, self._best_rate = args, receiver, robot, learner, -1.0
         self._card = {"made by": describe_origin(f"train_{receiver}", args), "dataset": data.name}
         if args.resume and (self.folder / CHECKPOINT).exists():
 
             def restore_all(state: dict[str, Any]) -> None:
                 learner.restore(state["training"])
-                self._best = float(state["best"])
+                self._best_rate = float(state["best"])
 
             read_checkpoint(self.folder / CHECKPOINT, restore_all)
         self.latest, self._path = self.folder / "latest.npz", self.folder / f"{receiver}.npz"
@@ -204,7 +204,7 @@ class ImitationRun:
 
     def save(self) -> None:
         """Write a checkpoint: the state of the learner and the best success rate so far."""
-        write_checkpoint(self.folder / CHECKPOINT, {"training": self._learner.get_state(), "best": self._best})
+        write_checkpoint(self.folder / CHECKPOINT, {"training": self._learner.get_state(), "best": self._best_rate})
 
     def train(
         self,
@@ -226,7 +226,7 @@ class ImitationRun:
         samples: list[Samples] = []
         for number, end in enumerate(np.linspace(0, self._args.updates, rounds + 2).round().astype(int)[1:].tolist()):
             samples.append(collect(number))
-            if self._learner.done < end:
+            if self._learner.n_updates < end:
                 self._update(make_batches(join_samples(samples)), held_out, end)
                 self._evaluate(options)
         self.writer.close()
@@ -236,24 +236,24 @@ class ImitationRun:
         """Train until the update with number `end`; log losses and held-out metrics, and write checkpoints."""
         args, learner = self._args, self._learner
         torch.set_num_threads(args.threads)
-        for done in track(range(learner.done + 1, end + 1), description=f"updates up to {end}"):
+        for number in track(range(learner.n_updates + 1, end + 1), description=f"updates up to {end}"):
             # Seeded by the number of the update, so that a resumed run continues exactly.
-            batch = batches.sample(args.batch_size, np.random.default_rng((args.seed, learner.done)))
+            batch = batches.sample(args.batch_size, np.random.default_rng((args.seed, learner.n_updates)))
             losses = learner.update(batch)
-            if done % LOSS_INTERVAL == 0 or done == end:
-                self._log("train", losses, done)
-            if done % METRICS_INTERVAL == 0 or done == end:
-                self._log("held_out", learner.evaluate(held_out), done)
+            if number % LOSS_INTERVAL == 0 or number == end:
+                self._log("train", losses, number)
+            if number % METRICS_INTERVAL == 0 or number == end:
+                self._log("held_out", learner.evaluate(held_out), number)
                 self.save()
 
-    def _log(self, kind: str, values: Mapping[str, float], done: int) -> None:
+    def _log(self, kind: str, values: Mapping[str, float], step: int) -> None:
         for name, value in values.items():
-            self.writer.add_scalar(f"{kind}/{name}", value, done)
+            self.writer.add_scalar(f"{kind}/{name}", value, step)
 
     def _evaluate(self, options: Sequence[Mapping[str, object]]) -> None:
         """Evaluate the network with each of the options, keep it if it is the best so far, and write a checkpoint."""
-        steps = self._learner.done
-        write_network_weights(self.latest, self._learner.averaged, {**self._card, "steps": steps})
+        steps = self._learner.n_updates
+        write_network_weights(self.latest, self._learner.averaged_network, {**self._card, "steps": steps})
         successes = []
         args = self._args
         for chosen in options:
@@ -264,7 +264,7 @@ class ImitationRun:
             for name, rate in report.rates.items():
                 self.writer.add_scalar(f"evaluation/{name}{label}", rate.mean, steps)
             successes.append(report.success_rate)
-        if float(np.mean(successes)) >= self._best:
-            self._best = float(np.mean(successes))
+        if float(np.mean(successes)) >= self._best_rate:
+            self._best_rate = float(np.mean(successes))
             shutil.copyfile(self.latest, self._path)
         self.save()

@@ -90,17 +90,17 @@ class PointSegmentationNetwork(nn.Module):
         )
         self.head = nn.Linear(_FINE, n_classes)
 
-    def forward(self, points: Tensor, margins: Tensor, camera: Tensor) -> Tensor:
+    def forward(self, points: Tensor, margins: Tensor, hand_link: Tensor) -> Tensor:
         """Return the logits (B, N, n_classes) of the points of B clouds.
 
         Args:
             points: (B, N, 3) points in a frame with the world's z axis (m), in random order.
             margins: (B, N) differences of the logits of hand and object in the image; 0 if unknown.
-            camera: (B, 3) position of the robot's hand link in the same frame (m).
+            hand_link: (B, 3) position of the robot's hand link in the same frame (m).
         """
         mean = points.mean(dim=1)
         local = points - mean[:, None]
-        view = _VIEW_SCALE * torch.cat([camera - mean, mean[:, 2:]], dim=-1)
+        view = _VIEW_SCALE * torch.cat([hand_link - mean, mean[:, 2:]], dim=-1)
         near = _find_nearest(local, local, _FINE_SIZE)[1]
         shape = self.shape(_FINE_SCALE * (_gather(local, near) - local[:, :, None])).amax(dim=2)
         known = margins.clamp(-_MAX_MARGIN, _MAX_MARGIN)[..., None] / 2.0

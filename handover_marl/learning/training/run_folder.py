@@ -28,7 +28,7 @@ _ARGUMENTS = "arguments.json"
 _INPUT_CLIP = 5.0
 _MAX_CHECKPOINT_BYTES = 20_000_000_000
 # Arguments that may change when a run is resumed: durations and paths.
-_FREE = ("resume", "out", "data_dir", "decisions", "minutes")
+_MUTABLE_ARGS = ("resume", "out", "data_dir", "decisions", "minutes")
 # Arguments that the description of a policy's training omits: paths, and those without effect.
 _UNRECORDED_ARGUMENTS = ("out", "data_dir", "resume", "workers")
 
@@ -44,18 +44,18 @@ def describe_origin(script: str, arguments: object) -> str:
     return f"experiments/training/{script}.py {', '.join(parts)}"
 
 
-def open_run_folder(path: Path, arguments: object, resume: bool, dataset: str, free: Sequence[str] = ()) -> Path:
+def open_run_folder(path: Path, args: object, resume: bool, dataset: str, mutable_args: Sequence[str] = ()) -> Path:
     """Make the folder of a training run with its arguments, or check that it holds this run; return its path.
 
     Args:
         path: Path of the folder.
-        arguments: Dataclass of the run's arguments; only the same run can be resumed.
+        args: Dataclass of the run's arguments; only the same run can be resumed.
         resume: Whether to continue the run in the folder. `ResultsError` is raised if there is none or another run,
             and, without `resume`, if there is a run.
         dataset: Name of the dataset, to which "auto" was resolved.
-        free: Names of further arguments that may change when a run is resumed.
+        mutable_args: Names of further arguments that may change when a run is resumed.
     """
-    recorded = {key: value for key, value in vars(arguments).items() if key not in (*_FREE, *free)}
+    recorded = {key: value for key, value in vars(args).items() if key not in (*_MUTABLE_ARGS, *mutable_args)}
     text = json.dumps(recorded | {"dataset": dataset}, indent=1, default=repr)
     file = path / _ARGUMENTS
     if resume and not file.exists():

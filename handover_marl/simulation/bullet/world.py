@@ -44,7 +44,7 @@ class BulletWorld(World):
         super().__init__(config)
         self._client: BulletClient = connect()
         self._window: BulletClient | None = connect(window=True) if window else None
-        self._shown: SceneRenderer | None = None
+        self._window_renderer: SceneRenderer | None = None
         self._n_steps = 0
         self._workcell: Workcell | None = None
         self._release_pending = False
@@ -113,9 +113,9 @@ class BulletWorld(World):
         """Show the current state in PyBullet's window, if there is one."""
         if self._window is None or self._scene is None:
             return
-        if self._shown is None or self._shown.scene is not self._scene:
-            self._shown = SceneRenderer(self._scene, self._config, self._window)
-        self._shown.set_joints(self.read_joint_snapshot())
+        if self._window_renderer is None or self._window_renderer.scene is not self._scene:
+            self._window_renderer = SceneRenderer(self._scene, self._config, self._window)
+        self._window_renderer.set_joints(self.read_joint_snapshot())
 
     def _simulate(self) -> None:
         try:
@@ -127,14 +127,14 @@ class BulletWorld(World):
             raise _make_connection_error(error) from error
 
     def _read_contacts(
-        self, hand: Collection[int], target: ObjectBody | None, others: set[int], released: bool
+        self, hand: Collection[int], target: ObjectBody | None, other_ids: set[int], released: bool
     ) -> Contacts:
         """Return the contacts of the last step with a normal force above zero.
 
         Args:
             hand: PyBullet body numbers of the human hand.
             target: Target object; None while it is not simulated.
-            others: PyBullet body numbers of the simulated objects besides the target.
+            other_ids: PyBullet body numbers of the simulated objects besides the target.
             released: Whether contacts of the target with table and other objects are read.
         """
         panda = self._loaded_workcell.panda
@@ -143,7 +143,7 @@ class BulletWorld(World):
         contacts = Contacts(
             robot_touches_hand=bool(hand_forces),
             robot_hand_force=sum(hand_forces),
-            robot_touches_others=any(point[CONTACT_BODY_B] in others for point in touching),
+            robot_touches_others=any(point[CONTACT_BODY_B] in other_ids for point in touching),
         )
         points = [] if target is None else [point for point in touching if point[CONTACT_BODY_B] == target.id]
         if target is None or not (points or released):
@@ -153,7 +153,7 @@ class BulletWorld(World):
         return contacts._replace(
             robot_touches_object=bool(points),
             finger_points=_select_finger_points(panda.finger_links, np.array(finger_poses), points),
-            object_supported=released and self._is_supported(target, {self._loaded_workcell.table_id, *others}),
+            object_supported=released and self._is_supported(target, {self._loaded_workcell.table_id, *other_ids}),
             object_height=float(target.read_pose()[2]),
             gripper_position=(x, y, z),
             robot_object_force=sum(point[CONTACT_NORMAL_FORCE] for point in points),

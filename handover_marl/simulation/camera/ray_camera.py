@@ -231,7 +231,7 @@ class RayCamera:
         table = (*config.table_position, 0.0, 0.0, 0.0, 1.0)
         self._table = load_ray_body(assets.table, SegmentationLabel.TABLE, table)
         self._target = load_ray_body(assets.objects[0], SegmentationLabel.TARGET)
-        self._others = [load_ray_body(urdf, SegmentationLabel.OTHER_OBJECT) for urdf in assets.objects[1:]]
+        self._other_objects = [load_ray_body(urdf, SegmentationLabel.OTHER_OBJECT) for urdf in assets.objects[1:]]
         self._hand = load_ray_body(assets.hand, SegmentationLabel.HAND)
 
     def render(self, snapshot: JointSnapshot, color: bool, camera: Pinhole = WRIST_CAMERA) -> CameraImage:
@@ -256,18 +256,18 @@ class RayCamera:
         """
         view = self._compute_camera_frame(snapshot, camera)
         buffer, links = Framebuffer(camera, *view), self._pose_links(snapshot, camera, view)
-        wanted = {SegmentationLabel.TARGET, SegmentationLabel.HAND}
-        wanted |= {SegmentationLabel.OTHER_OBJECT} if with_others else set()
+        labels = {SegmentationLabel.TARGET, SegmentationLabel.HAND}
+        labels |= {SegmentationLabel.OTHER_OBJECT} if with_others else set()
         visible = [link for link in links if not link.is_hidden]
         # Pixels of the object that the hand occludes appear twice, which does no harm.
-        drawn = [buffer.draw(link) for link in visible if link.body.label in wanted]
+        drawn = [buffer.draw(link) for link in visible if link.body.label in labels]
         pixels = np.concatenate([_NO_PIXELS, *drawn])
         is_below = buffer.find_below_ground(pixels)
         buffer.clear(pixels[is_below])
         pixels = pixels[~is_below]
         row, column = np.divmod(pixels, camera.width)
         for link in visible:
-            if link.body.label not in wanted:
+            if link.body.label not in labels:
                 (left, right), (top, bottom) = link.rectangle
                 near = pixels[(row >= top) & (row < bottom) & (column >= left) & (column < right)]
                 if len(near):
@@ -290,7 +290,7 @@ class RayCamera:
         """Return all links with meshes, target and hand first, in the frame of a camera with the pose `view`."""
         bodies: list[PosedBody] = [(self._target, snapshot.objects[0])]
         bodies += [] if snapshot.hand is None else [(self._hand, snapshot.hand)]
-        bodies += [(self._panda, snapshot.robot), *zip(self._others, snapshot.objects[1:], strict=True)]
+        bodies += [(self._panda, snapshot.robot), *zip(self._other_objects, snapshot.objects[1:], strict=True)]
         bodies.append((self._table, _NO_JOINTS))
         frames = [body.compute_mesh_frames(joints) for body, joints in bodies]
         rotations, origins = (np.concatenate(part) for part in zip(*frames, strict=True))

@@ -27,9 +27,9 @@ def resolve_renderer(name: str, physics: str) -> str:
     return renderer
 
 
-def check_rendering(what: str = "rendering") -> None:
-    """Raise `OptionError` if PyBullet, which renders scenes, is not installed; `what` names the operation in it."""
+def check_rendering(operation: str = "rendering") -> None:
+    """Raise `OptionError` that names the `operation` if PyBullet, which renders scenes, is not installed."""
     require_pybullet(
-        what,
+        operation,
         "without PyBullet, render a 3D replay page with --out FILE.html, and wrist-camera images with renderer='rays'",
     )

@@ -19,8 +19,8 @@ from scipy.spatial.transform import Rotation
 from handover_marl.config import MAX_OBJECTS, PhysicsConfig
 from handover_marl.datasets.dataset import SceneAssets
 from handover_marl.errors import ResetNeededError
-from handover_marl.geometry.arrays import AnyArray, ArrayFactory, RowBank, widen
-from handover_marl.geometry.kinematic_tree import TreeBank, read_tree
+from handover_marl.geometry.arrays import AnyArray, ArrayFactory, GrowableArray, widen
+from handover_marl.geometry.kinematic_tree import TreeBatch, read_tree
 from handover_marl.geometry.model_files.meshes import VisualMesh, read_visual_meshes
 from handover_marl.geometry.model_files.surfaces import read_surfaces
 from handover_marl.geometry.model_files.urdf import read_model_mtimes
@@ -34,11 +34,11 @@ from handover_marl.simulation.world import WorldState
 
 #: Link number of meshes whose vertices are in the world frame.
 WORLD = -1
-#: Number of a mesh in its `MeshBank`, and of the link in whose frame it is; `WORLD` for meshes that never move.
+#: Number of a mesh in its `MeshBuffers`, and of the link in whose frame it is; `WORLD` for meshes that never move.
 DeviceMesh = tuple[int, int]
 
 
-class MeshBank:
+class MeshBuffers:
     """Visual meshes on Warp's current device; a model whose files have not changed is copied once.
 
     Mesh 0 stands for no mesh: its identifier is 0.
@@ -56,9 +56,9 @@ class MeshBank:
     """
 
     def __init__(self, arrays: ArrayFactory) -> None:
-        self.identifiers, self.first_faces = RowBank(arrays, (), "int64"), RowBank(arrays, (), "int64")
-        self.spheres, self.corners = RowBank(arrays, (4,), "float32"), RowBank(arrays, (3, 2), "float32")
-        self.textures, self.texels = RowBank(arrays, (3,), "int32"), RowBank(arrays, (3,), "uint8")
+        self.identifiers, self.first_faces = GrowableArray(arrays, (), "int64"), GrowableArray(arrays, (), "int64")
+        self.spheres, self.corners = GrowableArray(arrays, (4,), "float32"), GrowableArray(arrays, (3, 2), "float32")
+        self.textures, self.texels = GrowableArray(arrays, (3,), "int32"), GrowableArray(arrays, (3,), "uint8")
         # Identifiers are valid as long as the meshes live.
         self._meshes: list[warp.Mesh] = []
         self._models: dict[tuple[object, ...], list[DeviceMesh]] = {}
@@ -151,7 +151,7 @@ class WarpCamera:
     def __init__(self, config: PhysicsConfig, count: int, arrays: ArrayFactory) -> None:
         self._config, self._arrays = config, arrays
         self._device = WarpDevice(arrays)
-        self._robots, self._hands = TreeBank("robots", arrays), TreeBank("hands", arrays)
+        self._robots, self._hands = TreeBatch("robots", arrays), TreeBatch("hands", arrays)
         # Number of each world's robot and hand, and its mesh slots: places for all meshes that the world shows.
         self._robot, self._hand = arrays.zeros(count, "int64"), arrays.zeros(count, "int64")
         self._slots = arrays.zeros((count, 0, 3), "int64")
@@ -159,7 +159,7 @@ class WarpCamera:
         self._base_position = arrays.asarray(config.panda.base_position, "float64")
         # Numbers of the frames in which cameras are mounted, by link; "" is the world.
         self._mounts: dict[str, int] = {}
-        self._bank: MeshBank | None = None
+        self._mesh_buffers: MeshBuffers | None = None
 
     def load_scene(self, row: int, assets: SceneAssets) -> None:
         """Load the models of the scene of the world with number `row`."""
@@ -178,15 +178,15 @@ class WarpCamera:
             slots.extend((number, world_frame if link == WORLD else frames[link], label) for number, link in meshes)
 
         with self._device.use():
-            bank = self._bank = self._bank or MeshBank(self._arrays)
+            buffers = self._mesh_buffers = self._mesh_buffers or MeshBuffers(self._arrays)
             for number, urdf in enumerate(assets.objects):
                 label = SegmentationLabel.OTHER_OBJECT if number else SegmentationLabel.TARGET
                 # All meshes of an object move with it.
-                slots.extend((mesh, first_object_frame + number, label) for mesh, _ in bank.add_model(urdf))
-            add(bank.add_model(assets.hand), SegmentationLabel.HAND, range(first_hand_frame, first_object_frame))
-            robot = bank.add_model(assets.panda, robot_base, INVISIBLE_LINKS)
+                slots.extend((mesh, first_object_frame + number, label) for mesh, _ in buffers.add_model(urdf))
+            add(buffers.add_model(assets.hand), SegmentationLabel.HAND, range(first_hand_frame, first_object_frame))
+            robot = buffers.add_model(assets.panda, robot_base, INVISIBLE_LINKS)
             add(robot, SegmentationLabel.ROBOT, range(first_hand_frame))
-            add(bank.add_model(assets.table, table), SegmentationLabel.TABLE, ())
+            add(buffers.add_model(assets.table, table), SegmentationLabel.TABLE, ())
         missing = len(slots) - self._slots.shape[1]
         if missing > 0:
             more = self._arrays.zeros((len(self._slots), missing, 3), "int64")
@@ -211,11 +211,11 @@ class WarpCamera:
         return self._render(rows, states, _OBJECTS if with_others else _TARGETS, False, camera)
 
     def sample_pixels(
-        self, images: ImageBatch, label: SegmentationLabel, limit: int, seeds: AnyArray, steps: AnyArray, stream: int
+        self, images: ImageBatch, label: SegmentationLabel, limit: int, seeds: AnyArray, steps: AnyArray, stream_id: int
     ) -> AnyArray:
         """Choose at most `limit` pixels with a label in each of r images, without replacement.
 
-        The choice depends on the image, its seed, its number of steps and the stream only.
+        The choice depends on the image, its seed, its number of steps and `stream_id` only.
 
         Args:
             images: The images.
@@ -223,7 +223,7 @@ class WarpCamera:
             limit: Largest number of pixels.
             seeds: Seeds (r,), 32 bits, int64.
             steps: Numbers (r,) of simulated steps, int64.
-            stream: Number that makes the random choice independent of choices with other numbers.
+            stream_id: Number that makes the random choice independent of choices with other numbers.
 
         Returns:
             Numbers (r, limit) of the pixels, ascending; missing ones are p, the number of pixels of an image.
@@ -231,7 +231,7 @@ class WarpCamera:
         xp, segmentation = self._arrays.xp, images.segmentation
         n_pixels = segmentation.shape[1]
         with self._device.use():
-            states = _scramble(_scramble(seeds) + stream) + steps
+            states = _scramble(_scramble(seeds) + stream_id) + steps
             keys = _scramble(_scramble(states)[:, None] + self._arrays.arange(n_pixels))
             # Keys of 32 bits differ within an image; other pixels come after those with the label.
             keys = xp.where(segmentation == int(label), keys, 2**32)
@@ -242,19 +242,19 @@ class WarpCamera:
     def close(self) -> None:
         """Free the meshes; a world can be rendered again only after `load_scene`."""
         self._device.synchronize()
-        self._bank = None
+        self._mesh_buffers = None
         self._slots = self._slots[:, :0]
 
     def _render(
-        self, rows: AnyArray, states: WorldState, wanted: tuple[SegmentationLabel, ...], color: bool, camera: Pinhole
+        self, rows: AnyArray, states: WorldState, labels: tuple[SegmentationLabel, ...], color: bool, camera: Pinhole
     ) -> ImageBatch:
-        if self._bank is None:
+        if self._mesh_buffers is None:
             raise ResetNeededError("no world has a scene; call reset() first")
         arrays, xp = self._arrays, self._arrays.xp
         with self._device.use():
             if color:
-                self._bank.read_colors()
-            inputs = self._make_kernel_inputs(self._bank, rows, states, camera)
+                self._mesh_buffers.read_colors()
+            inputs = self._make_kernel_inputs(self._mesh_buffers, rows, states, camera)
             shape = (len(rows), camera.n_pixels)
             depth = xp.empty(shape, dtype=xp.float32, device=arrays.device)
             segmentation = xp.empty(shape, dtype=xp.uint8, device=arrays.device)
@@ -263,7 +263,7 @@ class WarpCamera:
                 render_images,
                 shape,
                 [
-                    *(*inputs, sum(1 << label for label in wanted), SegmentationLabel.BACKGROUND in wanted),
+                    *(*inputs, sum(1 << label for label in labels), SegmentationLabel.BACKGROUND in labels),
                     *(camera.width, warp.vec4(*camera.focal, *camera.principal)),
                     *(camera.near, float(camera.empty_depth)),
                 ],
@@ -272,7 +272,7 @@ class WarpCamera:
         return ImageBatch(depth, segmentation, rgb if color else None)
 
     def _make_kernel_inputs(
-        self, bank: MeshBank, rows: AnyArray, states: WorldState, camera: Pinhole
+        self, buffers: MeshBuffers, rows: AnyArray, states: WorldState, camera: Pinhole
     ) -> "list[warp.array]":
         """Return the arguments `meshes` to `pinholes` of the kernel `render_images`, for one camera in each world."""
         xp = self._arrays.xp
@@ -288,18 +288,18 @@ class WarpCamera:
         worlds = self._arrays.arange(len(rows))[:, None]
         turns = turned[:, None].mT @ rotations[worlds, frames]
         places = ((origins[worlds, frames] - pinhole[:, None])[..., None, :] @ turned[:, None])[..., 0, :]
-        spheres = widen(bank.spheres.rows[meshes])
+        spheres = widen(buffers.spheres.rows[meshes])
         centers = places + (turns @ spheres[..., :3, None])[..., 0]
         inputs = (
-            (bank.identifiers.rows[meshes], warp.int64),
+            (buffers.identifiers.rows[meshes], warp.int64),
             (labels, warp.int64),
             (turns, warp.mat33),
             (places, warp.vec3),
             (xp.concat([centers, spheres[..., 3:]], axis=-1), warp.vec4),
-            (bank.first_faces.rows[meshes], warp.int64),
-            (bank.corners.rows, warp.vec2),
-            (bank.textures.rows, warp.vec3i),
-            (bank.texels.rows, warp.vec3ub),
+            (buffers.first_faces.rows[meshes], warp.int64),
+            (buffers.corners.rows, warp.vec2),
+            (buffers.textures.rows, warp.vec3i),
+            (buffers.texels.rows, warp.vec3ub),
             (turned, warp.mat33),
             (pinhole, warp.vec3),
         )

@@ -133,7 +133,7 @@ def render_images(
     texels: warp.array[warp.vec3ub],
     cameras: warp.array[warp.mat33],
     pinholes: warp.array[warp.vec3],
-    wanted: int,
+    label_bits: int,
     has_ground: bool,
     width: int,
     intrinsics: warp.vec4,
@@ -157,7 +157,7 @@ def render_images(
         texels: Red, green and blue (t,) of all textures; not used for images without colours.
         cameras: Rotation matrices (w,) of the cameras in the world.
         pinholes: Positions (w,) of the cameras in the world.
-        wanted: Bits of the labels of the wanted bodies.
+        label_bits: Bits of the labels of the wanted bodies.
         has_ground: Whether to draw the ground.
         width: Width of the images (pixels).
         intrinsics: Focal lengths and principal point (pixels).
@@ -181,7 +181,7 @@ def render_images(
     first = FaceHit()
     for slot in range(meshes.shape[1]):
         mesh = warp.uint64(meshes[world, slot])
-        is_wanted = (wanted >> int(labels[world, slot])) & 1 == 1
+        is_wanted = (label_bits >> int(labels[world, slot])) & 1 == 1
         if is_wanted and mesh != warp.uint64(0) and is_near_sphere(ray, spheres[world, slot], near, best):
             hit = cast_ray(mesh, rotations[world, slot], origins[world, slot], ray, near, best)
             if hit.face >= 0:
@@ -192,7 +192,7 @@ def render_images(
         # Other bodies are tested only against rays that hit a wanted one.
         for slot in range(meshes.shape[1]):
             mesh = warp.uint64(meshes[world, slot])
-            is_other = owner >= 0 and (wanted >> int(labels[world, slot])) & 1 == 0
+            is_other = owner >= 0 and (label_bits >> int(labels[world, slot])) & 1 == 0
             if is_other and mesh != warp.uint64(0) and is_near_sphere(ray, spheres[world, slot], near, best):
                 hit = cast_ray(mesh, rotations[world, slot], origins[world, slot], ray, near, best)
                 if hit.face >= 0:

@@ -224,7 +224,7 @@ class BatchSimulation:
             world.set_step(stacked[number, -1], sensordata[number, -1], step_states[number, -1])
         return MujocoRollout(stacked, sensordata, step_states)
 
-    def get_robot(self, model: RobotOnlyModel) -> RobotOnlySimulation:
+    def get_robot_simulation(self, model: RobotOnlyModel) -> RobotOnlySimulation:
         """Return the simulation of a model of the robot without human hand and objects, shared by all worlds."""
         if model not in self._robots:
             self._robots[model] = RobotOnlySimulation(model)

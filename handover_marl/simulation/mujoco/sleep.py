@@ -143,11 +143,11 @@ class SleepState:
         position, rest = np.array([robot_joints], dtype=np.float64), np.zeros((1, len(robot_joints)))
         self._robot = RobotTrajectory(position, rest, rest, np.zeros((0, 0, 3)))
         # Row of the robot trajectory's first step, and number of its steps without a body near it.
-        self._first, self._free = 0, 0
+        self._first_row, self._n_free_steps = 0, 0
 
     def advance_rows(self, rows: int) -> None:
         """Renumber rows for the next reference motion, which begins after `rows` steps of the current one."""
-        self._first -= rows
+        self._first_row -= rows
 
     @staticmethod
     def simulate_robots(
@@ -171,7 +171,7 @@ class SleepState:
             centers = np.stack([body.predict_positions(row) for body in [hand, *world.objects]], axis=1)
             groups.setdefault((world._simulation, centers.shape), []).append((world, row, target, centers))
         for (simulation, shape), group in groups.items():
-            starts = [(world._robot, row - world._first) for world, row, *_ in group]
+            starts = [(world._robot, row - world._first_row) for world, row, *_ in group]
             robots = simulation.simulate(starts, [target for *_, target, _ in group], shape[0])
             radii = np.array([[world._scene.hand_reach, *world._scene.object_reaches] for world, *_ in group])
             near = group[0][0]._scene.robot_only.motion_bounds.is_near(
@@ -181,15 +181,15 @@ class SleepState:
             )
             free = np.where(near.any(axis=1), near.argmax(axis=1), shape[0]).tolist()
             for (world, row, *_), robot, count in zip(group, robots, free, strict=True):
-                world._robot, world._first, world._free = robot, row, count
+                world._robot, world._first_row, world._n_free_steps = robot, row, count
 
     def count_free_steps(self, row: int) -> int:
         """Return the number of steps from `row` on before a body comes near the robot; call `simulate_robots` first."""
-        return self._free - (row - self._first)
+        return self._n_free_steps - (row - self._first_row)
 
     def write_state(self, row: int, qpos: Array, qvel: Array) -> None:
         """Write positions of robot and objects, and velocities of the robot, after step `row` to `qpos` and `qvel`."""
-        scene, done = self._scene, row + 1 - self._first
+        scene, done = self._scene, row + 1 - self._first_row
         qpos[scene.robot_qpos], qvel[scene.robot_qvel] = self._robot.joints[done], self._robot.velocities[done]
         qpos[scene.object_qpos] = self._compute_object_poses(row).ravel()
 

@@ -55,7 +55,7 @@ class MujocoWorld(RolloutWorld):
         robot: Simulation of the robot without hand and objects.
         hand: Trajectory of the hand under the current reference, valid after `track_worlds`.
         hand_kinematics: Kinematics of the hand's bodies in the model.
-        sleep: Sleep state of the world, which `prepare` may end; None once the world is awake.
+        sleep_state: Sleep state of the world, which `prepare` may end; None once the world is awake.
         reference: Current reference motion.
         row: Last simulated row of the reference motion.
         robot_target: Nine joint targets of the robot (rad, m) for which the controls were computed; None before the
@@ -77,7 +77,7 @@ class MujocoWorld(RolloutWorld):
         super().__init__(config)
         self._simulation = simulation or BatchSimulation()
         self._data: WorldData | None = None
-        self.sleep: SleepState | None = None
+        self.sleep_state: SleepState | None = None
 
     @property
     def data(self) -> WorldData:
@@ -88,11 +88,11 @@ class MujocoWorld(RolloutWorld):
 
     def reset(self, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
         """Load a scene; set hand and objects to the only row of `start`, and the robot to nine joints (rad, m)."""
-        model, urdf, simulation = load_scene_model(scene.assets, self._config), scene.assets.hand, self._simulation
-        data = simulation.load_scene(model)
-        hand_motors, hand_joints = list_hand_motors(self._config.hand), start.hand[0] if start.hand_present[0] else None
-        self.robot, self.hand = simulation.get_robot(model.robot_only), BodyTrajectory(hand_motors, hand_joints)
-        self.sleep = SleepState(model, self.robot, self._config.objects, start, robot_joints)
+        model, simulation = load_scene_model(scene.assets, self._config), self._simulation
+        data, hand_joints = simulation.load_scene(model), start.hand[0] if start.hand_present[0] else None
+        self.robot, urdf = simulation.get_robot_simulation(model.robot_only), scene.assets.hand
+        self.hand = BodyTrajectory(list_hand_motors(self._config.hand), hand_joints)
+        self.sleep_state = SleepState(model, self.robot, self._config.objects, start, robot_joints)
         self.reference, self.row, self.is_tracked = start, -1, True
         self.robot_target: list[float] | None = None
         self.controls, self.controls_row, self.hand_free_steps = np.zeros((0, 0)), 0, 0
@@ -109,15 +109,15 @@ class MujocoWorld(RolloutWorld):
         # Trajectories continue from the end of the last reference.
         track_worlds([self])
         self._set_state()
-        if self.sleep is not None:
-            self.sleep.advance_rows(self.row + 1)
+        if self.sleep_state is not None:
+            self.sleep_state.advance_rows(self.row + 1)
         self.row, self.reference, self.robot_target, self.is_tracked = -1, motion, None, False
 
     def step(self, robot_target: list[float]) -> None:
         """Simulate one physics step towards nine joint targets of the Panda (rad, m)."""
         data = self.data
         self.prepare([self], [robot_target])
-        if self.sleep is None:
+        if self.sleep_state is None:
             self._simulation.simulate([data], [self._can_touch_hand(1)], [self._get_coming_controls(1)])
         self._set_row(self.row + 1)
 
@@ -134,7 +134,7 @@ class MujocoWorld(RolloutWorld):
         simulated, running = np.zeros(len(worlds), dtype=np.int_), np.ones(len(worlds), dtype=bool)
         while rows := np.flatnonzero(running & (simulated < steps)).tolist():
             # Preparing a sleeping world may wake it, which changes its key.
-            for chunk in _split([row for row in rows if worlds[row].sleep is not None]):
+            for chunk in _split([row for row in rows if worlds[row].sleep_state is not None]):
                 cls.prepare([worlds[row] for row in chunk], [robot_targets[row] for row in chunk])
             groups: dict[object, list[int]] = {}
             for row in rows:
@@ -168,7 +168,7 @@ class MujocoWorld(RolloutWorld):
         _update_sleep(worlds, robot_targets)
         groups: dict[tuple[int, ...], list[tuple[MujocoWorld, list[float]]]] = {}
         for world, target in zip(worlds, robot_targets, strict=True):
-            if world.sleep is None and world.robot_target != target:
+            if world.sleep_state is None and world.robot_target != target:
                 world.robot_target, world.controls_row = target, world.row + 1
                 model = world.data.scene.model
                 # Models with equally many objects, actuators and mocap bodies have them in the same places.
@@ -207,7 +207,7 @@ class MujocoWorld(RolloutWorld):
         """
         cls.prepare(worlds, robot_targets)
         first = worlds[0]
-        if first.sleep is not None:
+        if first.sleep_state is not None:
             rollout, contacts = None, RolloutContacts.without_contacts(steps, len(worlds))
         else:
             rollout = first._simulation.simulate(
@@ -222,18 +222,18 @@ class MujocoWorld(RolloutWorld):
         for world in worlds:
             world._set_row(world.row + steps)
 
-        def truncate(number: int, taken: int) -> None:
+        def truncate(number: int, n_kept: int) -> None:
             world = worlds[number]
             if rollout is not None:
-                world.data.set_step(*(array[number, taken - 1] for array in rollout))
-            world._set_row(world.row + taken - steps)
+                world.data.set_step(*(array[number, n_kept - 1] for array in rollout))
+            world._set_row(world.row + n_kept - steps)
 
         return contacts, truncate
 
     @property
     def rollout_key(self) -> tuple[int, ...]:
         """Key that is equal for worlds that can be simulated together; sleeping and awake ones cannot."""
-        if self.sleep is not None:
+        if self.sleep_state is not None:
             return ()  # Sleeping worlds of all sizes are advanced together.
         model = self.data.scene.model
         return model.nq, model.nu, model.nmocap, model.nsensordata
@@ -242,7 +242,7 @@ class MujocoWorld(RolloutWorld):
     def remaining_steps(self) -> int:
         """Largest number of steps that can be simulated at once, valid for a sleeping world after `prepare`."""
         left = len(self.reference.objects) - (self.row + 1)
-        return left if self.sleep is None else min(left, self.sleep.count_free_steps(self.row + 1))
+        return left if self.sleep_state is None else min(left, self.sleep_state.count_free_steps(self.row + 1))
 
     def apply_release(self) -> None:
         """Make a pending release of the object effective, which wakes the world."""
@@ -253,10 +253,10 @@ class MujocoWorld(RolloutWorld):
 
     def wake(self) -> None:
         """Wake the world: robot and objects are simulated together from the coming step on."""
-        if self.sleep is not None:
+        if self.sleep_state is not None:
             self._set_state()
-            self.data.qvel[self.data.scene.object_qvel] = self.sleep.compute_object_velocities(self.row).ravel()
-            self.sleep, self.robot_target = None, None
+            self.data.qvel[self.data.scene.object_qvel] = self.sleep_state.compute_object_velocities(self.row).ravel()
+            self.sleep_state, self.robot_target = None, None
 
     def release_target(self) -> None:
         """Release the target object from the human hand before the next step."""
@@ -264,7 +264,7 @@ class MujocoWorld(RolloutWorld):
 
     def read_contacts(self, released: bool) -> Contacts:
         """Return the contacts of the last step; those of the target with table or objects only if it is `released`."""
-        if self.sleep is not None:
+        if self.sleep_state is not None:
             return Contacts()
         data = self.data
         return data.scene.contact_sensors.compute_contacts(data.sensordata, data.qpos, released)
@@ -309,16 +309,16 @@ class MujocoWorld(RolloutWorld):
     def close(self) -> None:
         """Free the memory of the simulation."""
         super().close()
-        self._data = self.sleep = None
+        self._data = self.sleep_state = None
 
     def _set_row(self, row: int) -> None:
         """Set the last simulated row of the reference motion."""
-        self.row, self._is_state_set = row, self.sleep is None
+        self.row, self._is_state_set = row, self.sleep_state is None
 
     def _set_state(self) -> None:
         """Write the joint state of a sleeping world to `data`, which steps of a sleeping world do not update."""
-        if self.sleep is not None and not self._is_state_set:
-            self.sleep.write_state(self.row, self.data.qpos, self.data.qvel)
+        if self.sleep_state is not None and not self._is_state_set:
+            self.sleep_state.write_state(self.row, self.data.qpos, self.data.qvel)
             self._is_state_set = True
 
     def _get_hand_joints(self) -> Array | None:
@@ -348,8 +348,8 @@ def track_worlds(worlds: Sequence[MujocoWorld]) -> None:
     objects = [
         (item, one.reference.objects[:, number], None)
         for one in behind
-        if one.sleep is not None
-        for number, item in enumerate(one.sleep.objects)
+        if one.sleep_state is not None
+        for number, item in enumerate(one.sleep_state.objects)
     ]
     track_references([*hands, *objects])
     for world in behind:
@@ -367,11 +367,11 @@ def _update_sleep(worlds: Sequence[MujocoWorld], robot_targets: Sequence[list[fl
         world.apply_release()
     changed: list[tuple[SleepState, int, list[float], BodyTrajectory]] = []
     for world, target in zip(worlds, robot_targets, strict=True):
-        if world.sleep is not None and world.robot_target != target:
+        if world.sleep_state is not None and world.robot_target != target:
             world.robot_target = target
-            changed.append((world.sleep, world.row + 1, target, world.hand))
+            changed.append((world.sleep_state, world.row + 1, target, world.hand))
     if changed:
         SleepState.simulate_robots(*zip(*changed, strict=True))
     for world in worlds:
-        if world.sleep is not None and not world.sleep.count_free_steps(world.row + 1):
+        if world.sleep_state is not None and not world.sleep_state.count_free_steps(world.row + 1):
             world.wake()

@@ -97,7 +97,7 @@ def test_intersection_over_union_ignores_pixels_without_depth() -> None:
     guess[0, 0, :6], guess[0, 1, :8], guess[0, 2] = 1, 3, 1
     learner = SegmentationLearner(SegmentationNetwork(), 1, torch.device("cpu"))
     logits = torch.nn.functional.one_hot(torch.from_numpy(guess), 4).permute(0, 3, 1, 2)
-    learner.averaged.forward = lambda *_: logits  # type: ignore[method-assign]
+    learner.averaged_network.forward = lambda *_: logits  # type: ignore[method-assign]
     depth = np.zeros((1, 32, 32), dtype=np.float16)
     batches = SegmentationBatches(SegmentationViews(np.zeros((1, 32, 32, 3), dtype=np.uint8), depth, depth, truth))
     n_rest = 32 * 32 - 32 - 12

@@ -100,10 +100,10 @@ def test_worlds_change_their_scenes(request: pytest.FixtureRequest) -> None:
     """A world that had more objects before has those of its present scene only; models are copied once."""
     scenes, rng = load_scenes(request, "synthetic"), np.random.default_rng(4)
     camera, singles = make_cameras(scenes)
-    assert camera._bank is not None
-    n_meshes = len(camera._bank._meshes)
+    assert camera._mesh_buffers is not None
+    n_meshes = len(camera._mesh_buffers._meshes)
     camera.load_scene(0, scenes[1].assets)
-    assert len(camera._bank._meshes) == n_meshes
+    assert len(camera._mesh_buffers._meshes) == n_meshes
     now = draw_snapshot(scenes[1], CONFIG, rng, nearest=0.3)
     # A target around the camera shows back faces only, which are invisible.
     now.objects[0, :3] = place_in_view(scenes[1], CONFIG, now.robot, [0.0, 0.0, 0.0])
@@ -119,12 +119,12 @@ def test_worlds_change_their_scenes(request: pytest.FixtureRequest) -> None:
 # ------------------------------------------------------------------------------------------------------ subsampling
 
 
-def sample(masks: list[Flags], seeds: list[int], steps: list[int], stream: int = 0) -> npt.NDArray[np.int_]:
+def sample(masks: list[Flags], seeds: list[int], steps: list[int], stream_id: int = 0) -> npt.NDArray[np.int_]:
     """Sample 1,024 pixels of images in which the pixels of masks (50176,) show the target."""
     segmentation = TENSORS.asarray(np.where(np.stack(masks), int(TARGET), int(HAND)), "uint8")
     images = ImageBatch(TENSORS.zeros(segmentation.shape, "float32"), segmentation, None)
     own = TENSORS.asarray(seeds, "int64"), TENSORS.asarray(steps, "int64")
-    return to_numpy(WarpCamera(CONFIG, 1, TENSORS).sample_pixels(images, TARGET, 1024, *own, stream))
+    return to_numpy(WarpCamera(CONFIG, 1, TENSORS).sample_pixels(images, TARGET, 1024, *own, stream_id))
 
 
 def test_pixels_are_chosen_at_random_without_replacement() -> None:
@@ -149,7 +149,7 @@ def test_choices_depend_on_seed_steps_and_stream_only() -> None:
     found = sample([mask] * 4, seeds, steps)
     for row in range(4):
         np.testing.assert_array_equal(sample([mask], [seeds[row]], [steps[row]])[0], found[row])
-    drawn = [*found, *sample([mask], [5], [100], stream=1)]
+    drawn = [*found, *sample([mask], [5], [100], stream_id=1)]
     # Two independent choices of 1,024 of 16,726 pixels share 63 in the mean.
     shared = [len(np.intersect1d(drawn[k], drawn[n])) for k in range(5) for n in range(k)]
     assert max(shared) < 120

@@ -143,7 +143,7 @@ def test_sleeping_worlds_move_as_awake_ones() -> None:
                 episode.advance(target, 97)
             if asleep.status or awake.status:
                 break
-            stages.add(own.sleep is not None)
+            stages.add(own.sleep_state is not None)
             # Tolerances (m, then rad) are the errors with which MuJoCo's actuators follow the reference.
             ways = own.read_object_joints() - other.read_object_joints()
             assert np.abs(ways[:, :3]).max() < 2e-4

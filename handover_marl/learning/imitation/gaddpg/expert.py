@@ -69,9 +69,9 @@ _MAX_DECISIONS = 20
 # rotation in this distance (m/rad).
 _TOLERANCE, _ROTATION_WEIGHT = 0.015, 0.05
 # Cost per metre of distance from the grasp beyond the tolerance at the end of the simulated approach.
-_MISS_COST = 20.0
+_GOAL_ERROR_COST = 20.0
 # Distance from the cheapest grasp at the end of its simulated approach above which the scenario gets no plan (m).
-_MAX_MISS = 0.03
+_MAX_GOAL_ERROR = 0.03
 # Cost of each decision of the simulated approach (m).
 _DECISION_COST = 0.02
 # Largest difference between a goal's cost and the cheapest goal's cost (m).
@@ -248,7 +248,7 @@ class GraspExpert:
         if not len(goals):
             return _NO_PLAN
         reached = self._simulate_approach(scenario.joints, goals[0])[-1]
-        if self._compute_miss(reached, goals[0]) > _MAX_MISS:
+        if self._compute_goal_error(reached, goals[0]) > _MAX_GOAL_ERROR:
             return _NO_PLAN
         self._planner.set_start(scenario.joints)
         base_from_world = invert_pose(self.arm.base)
@@ -257,7 +257,7 @@ class GraspExpert:
         plan = self._planner.plan(compose(base_from_world, goals), [obstacle])
         if plan is None:
             return _NO_PLAN
-        first = int(plan.goals.grasps[plan.chosen])
+        first = int(plan.goals.grasps[plan.goal_index])
         order = np.array([first, *(number for number in range(len(goals)) if number != first)])
         return ExpertPlan(goals[order], costs[order] - costs.min(), plan.trajectory)
 
@@ -307,8 +307,8 @@ class GraspExpert:
             # The cost of the approach is positive, so that more expensive grasps can be skipped.
             if grasp_costs[number] < best + _MAX_EXCESS_COST:
                 path = self._simulate_approach(joints, world[number])
-                miss = max(0.0, self._compute_miss(path[-1], world[number]) - _TOLERANCE)
-                costs[number] = grasp_costs[number] + _DECISION_COST * len(path) + _MISS_COST * miss
+                excess = max(0.0, self._compute_goal_error(path[-1], world[number]) - _TOLERANCE)
+                costs[number] = grasp_costs[number] + _DECISION_COST * len(path) + _GOAL_ERROR_COST * excess
                 best = min(best, costs[number])
         order = np.argsort(costs, kind="stable")[:_PLANNER_GOALS]
         order = order[costs[order] < best + _MAX_EXCESS_COST]
@@ -326,13 +326,13 @@ class GraspExpert:
         """Simulate an approach from joints (7,) to a world pose (7,); return the joints before and after each step."""
         path = [joints]
         for remaining in range(_MAX_DECISIONS, 0, -1):
-            if self._compute_miss(path[-1], goal) < _TOLERANCE:
+            if self._compute_goal_error(path[-1], goal) < _TOLERANCE:
                 break
             hand = self.arm.compute_hand_pose(path[-1])
             path.append(self.compute_next_joints(path[-1], self.compute_step(hand, goal, remaining)))
         return path
 
-    def _compute_miss(self, joints: Array, goal: Array) -> float:
+    def _compute_goal_error(self, joints: Array, goal: Array) -> float:
         """Return the distance (m) of the hand at arm joints (7,) from a goal (7,), plus the weighted angle to it."""
         hand = self.arm.compute_hand_pose(joints)
         return float(compute_grasp_distances(goal, hand[None], _ROTATION_WEIGHT, PAD_DISTANCE)[0])

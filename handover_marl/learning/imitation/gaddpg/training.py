@@ -143,7 +143,7 @@ class GaddpgLearner(ImitationLearner[GaddpgNetwork, ImitationBatch]):
         """Return the losses "action" and "goal" (m) of the network with averaged weights on held-out states."""
         some = np.random.default_rng(0).permutation(len(held_out))[:_N_HELD_OUT]
         with torch.no_grad():
-            _, losses = self.compute_losses(self.averaged, held_out.select(some, None))
+            _, losses = self.compute_losses(self.averaged_network, held_out.select(some, None))
         return {name: float(value) for name, value in losses.items()}
 
     def compute_losses(self, network: GaddpgNetwork, batch: ImitationBatch) -> tuple[Tensor, dict[str, Tensor]]:

@@ -149,5 +149,5 @@ class PointSegmentationLearner(ImitationLearner[PointSegmentationNetwork, Batch]
         with torch.inference_mode():
             for numbers in np.array_split(np.arange(len(held_out)), -(-len(held_out) // _N_EVALUATED)):
                 *inputs, classes = (part.to(self._device) for part in held_out.select(numbers))
-                counts += count_pairs(classes, self.averaged(*inputs).argmax(dim=-1))
+                counts += count_pairs(classes, self.averaged_network(*inputs).argmax(dim=-1))
         return compute_shares(counts)

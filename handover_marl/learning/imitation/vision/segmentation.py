@@ -164,7 +164,7 @@ class SegmentationLearner(ImitationLearner[SegmentationNetwork, Batch]):
             for numbers in np.array_split(np.arange(len(held_out)), -(-len(held_out) // _N_EVALUATED)):
                 *inputs, classes = (part.to(self._device) for part in held_out.select(numbers))
                 has_class = classes != _IGNORED
-                counts += count_pairs(classes[has_class], self.averaged(*inputs).argmax(dim=1)[has_class])
+                counts += count_pairs(classes[has_class], self.averaged_network(*inputs).argmax(dim=1)[has_class])
         return compute_shares(counts)
 
 

@@ -232,7 +232,7 @@ class GraspLearner(ImitationLearner[GraspNetwork, LabelledClouds]):
         with torch.inference_mode():
             for numbers in torch.split(torch.arange(len(held_out)), _N_EVALUATED):
                 batch = held_out.select(numbers, 2 * _N_CENTERS, generator)
-                outputs = self.averaged(batch.clouds)
+                outputs = self.averaged_network(batch.clouds)
                 found = compute_grasp_losses(outputs, batch)
                 losses.append(torch.stack([found["grasp"], found["quality"]]) * len(numbers))
                 best = outputs.quality.argmax(dim=1)

@@ -116,13 +116,13 @@ class LabelledFrame:
     Attributes:
         frame: Index of the frame in the recording (1 ms).
         object_pose: (7,) pose of the object in the world, quaternion xyzw.
-        known: Known grasps of the object and offset copies of them, n in number.
+        grasps: Known grasps of the object and offset copies of them, n in number.
         quality: (n,) qualities of the grasps at this frame.
     """
 
     frame: int
     object_pose: Array
-    known: Grasps
+    grasps: Grasps
     quality: Array
 
 
@@ -187,11 +187,11 @@ class ViewRenderer(RecordedViewRenderer):
         The grasps include offset copies that are clear of the person's hand in the last frame.
         """
         name, last = scene.info.target_name, scene.n_frames - 1
-        known = self.load_grasps(name, read_hand_spheres(scene, last), read_object_pose(scene, last))
+        grasps = self.load_grasps(name, read_hand_spheres(scene, last), read_object_pose(scene, last))
         labelled = {}
         for frame in sorted(set(frames)):
             pose, hand = read_object_pose(scene, frame), read_hand_spheres(scene, frame)
-            labelled[frame] = LabelledFrame(frame, pose, known, self.compute_qualities(known, hand, pose))
+            labelled[frame] = LabelledFrame(frame, pose, grasps, self.compute_qualities(grasps, hand, pose))
         return labelled
 
     def load_grasps(self, object_name: str, hand: Spheres | None, object_pose: Array) -> Grasps:
@@ -246,7 +246,7 @@ class ViewRenderer(RecordedViewRenderer):
         self, scene: Scene, camera: RayCamera, labelled: LabelledFrame, joints: Array, rng: Rng
     ) -> tuple[Any, ...] | None:
         """Return the fields of `GraspViews` for one view, or None if too little of the object is visible."""
-        frame, known = labelled.frame, labelled.known
+        frame, object_grasps = labelled.frame, labelled.grasps
         has_hand = bool(scene.is_hand_present(np.array([frame]))[0])
         robot = np.array([*joints, OPEN, OPEN], dtype=np.float32)
         snapshot = JointSnapshot(robot, scene.hand_dof[frame] if has_hand else None, scene.object_dof[frame])
@@ -262,9 +262,9 @@ class ViewRenderer(RecordedViewRenderer):
         best = best[labelled.quality[best] > MIN_QUALITY]
         grasps, quality = np.zeros((_MAX_GRASPS, 7)), np.zeros(_MAX_GRASPS)
         link_from_object = compose(invert_pose(world_from_link), labelled.object_pose)
-        grasps[: len(best)] = compose(link_from_object, known.poses[best])
+        grasps[: len(best)] = compose(link_from_object, object_grasps.poses[best])
         quality[: len(best)] = labelled.quality[best]
-        center = transform_points(labelled.object_pose, known.object_center)
+        center = transform_points(labelled.object_pose, object_grasps.object_center)
         center = inverse_transform_points(world_from_link, center[None])[0]
         to_link = Rotation.from_quat(world_from_link[3:]).inv()
         velocity, motion = (to_link.apply(vector) for vector in _read_motion(scene, frame))
@@ -309,7 +309,7 @@ def _sample_pose(labelled: LabelledFrame, number: int, rng: Rng) -> Array:
     lateral = (_LATERAL_RMS + _LATERAL_SLOPE * distance) * rng.normal(size=3) / np.sqrt(3.0)
     angle = (_ANGLE_RMS + _ANGLE_SLOPE * distance) * rng.normal(size=3) / np.sqrt(3.0)
     offset = np.concatenate([lateral - [0.0, 0.0, distance], Rotation.from_rotvec(angle).as_quat()])
-    pose: Array = compose(compose(labelled.object_pose, labelled.known.poses[number]), offset)
+    pose: Array = compose(compose(labelled.object_pose, labelled.grasps.poses[number]), offset)
     return pose
 
 

@@ -57,7 +57,7 @@ class WarpRollout:
 
     Attributes:
         rows: Numbers (r,) of the worlds.
-        places: Indices (d,) in `rows` of the worlds that are in the first d rows of the engine's arrays.
+        row_indices: Indices (d,) in `rows` of the worlds that are in the first d rows of the engine's arrays.
         scenes: Numbers (d,) of the scenes in the engine's rows.
         released: Whether the target objects in the engine's rows are released, (d,).
         states: Last states (r, ...) of the worlds while they ran, by name.
@@ -65,7 +65,7 @@ class WarpRollout:
     """
 
     rows: AnyArray
-    places: AnyArray
+    row_indices: AnyArray
     scenes: AnyArray
     released: AnyArray
     states: dict[str, AnyArray]
@@ -155,10 +155,10 @@ class WarpGroup:
         count = n_rows = len(rows)
         if self._device.stream is not None:
             n_rows = int(min(self._count, 2 ** math.ceil(math.log2(count))))
-        places = self._arrays.arange(n_rows) % count
-        source, kept = rows[places], {name: array[rows] for name, array in self.state.items()}
+        row_indices = self._arrays.arange(n_rows) % count
+        source, kept = rows[row_indices], {name: array[rows] for name, array in self.state.items()}
         overflow = self._arrays.zeros(count, "int32")
-        rollout = WarpRollout(rows, places, self._scenes[source], self.released[source], kept, overflow)
+        rollout = WarpRollout(rows, row_indices, self._scenes[source], self.released[source], kept, overflow)
         with self._device.use():
             self._data.nworld = n_rows
             for name in _STATE:
@@ -177,10 +177,10 @@ class WarpGroup:
             controls: Controls of the worlds.
             rules: Bounds of the grasp region of the fingers.
         """
-        count, places = len(rollout.rows), rollout.places
+        count, row_indices = len(rollout.rows), rollout.row_indices
         with self._device.use():
             for name, array in zip(_CONTROLS, controls, strict=True):
-                self._views[name][: len(places)] = array[places]
+                self._views[name][: len(row_indices)] = array[row_indices]
             self._step()
             data, qpos = (self._views[name][None, :count] for name in ("sensordata", "qpos"))
             return self._sensors.compute_rollout_contacts(data, qpos, rules)
@@ -194,7 +194,7 @@ class WarpGroup:
 
     def release_targets(self, rollout: WarpRollout, released: AnyArray) -> None:
         """Release the target objects of the worlds of a rollout in a mask `released` (r,), from the next step on."""
-        rollout.released[:] = rollout.released | released[rollout.places]
+        rollout.released[:] = rollout.released | released[rollout.row_indices]
         with self._device.use():
             self._model.select_released(rollout.scenes, rollout.released)
             self._set_weights(rollout)
@@ -232,9 +232,9 @@ class WarpGroup:
 
     def _set_weights(self, rollout: WarpRollout) -> None:
         """Set the external force (N) on each target object to its weight if it is released, else to zero."""
-        weights = self._config.gravity * self._target_mass[rollout.rows][rollout.places]
+        weights = self._config.gravity * self._target_mass[rollout.rows][rollout.row_indices]
         body = int(self.scene.objects[0])
-        self._views[_FORCES][: len(rollout.places), body, 2] = weights * rollout.released
+        self._views[_FORCES][: len(rollout.row_indices), body, 2] = weights * rollout.released
 
     def _step(self) -> None:
         """Simulate one step of the first `nworld` rows of the engine's arrays, with a captured CUDA graph on a GPU."""

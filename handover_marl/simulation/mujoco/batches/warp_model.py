@@ -19,7 +19,7 @@ import warp
 from handover_marl.config import OBJECT_DOF, PhysicsConfig
 from handover_marl.datasets.dataset import SceneAssets
 from handover_marl.errors import OptionError
-from handover_marl.geometry.arrays import AnyArray, ArrayFactory, RowBank, expand_mask, get_namespace
+from handover_marl.geometry.arrays import AnyArray, ArrayFactory, GrowableArray, expand_mask, get_namespace
 from handover_marl.simulation.mujoco.models.scene_model import SceneModel, load_scene_model
 from handover_marl.simulation.mujoco.models.scene_spec import ABSENT_PREFIX, ModelPadding, load_object_parts
 
@@ -195,12 +195,12 @@ class WarpModel:
         self.model.opt.warn_overflow = 0
         self._meshes = MeshPool()
         # Numbers of scenes by their values: a model that is compiled again is another object with the same values.
-        self._numbers, self._known = dict[bytes, int](), WeakKeyDictionary[SceneModel, int]()
+        self._numbers_by_hash, self._scene_numbers = dict[bytes, int](), WeakKeyDictionary[SceneModel, int]()
         # Tensors that share the memory of the model's arrays, and the values of each scene.
         self._rows = {name: warp.to_torch(getattr(self.model, name)) for name in _ROW_FIELDS}
         fields = {**self._rows, **{name + _RELEASED: self._rows[name] for name in _RELEASED_FIELDS}}
         self._scenes = {
-            name: RowBank(arrays, tuple(rows.shape[1:]), str(rows.dtype).removeprefix("torch."))
+            name: GrowableArray(arrays, tuple(rows.shape[1:]), str(rows.dtype).removeprefix("torch."))
             for name, rows in fields.items()
         }
         number, _ = self.add_scene(scene)
@@ -213,14 +213,14 @@ class WarpModel:
         Returns:
             Number of the scene, and whether arrays of the model were replaced, so that a captured graph is invalid.
         """
-        if scene in self._known:
-            return self._known[scene], False
+        if scene in self._scene_numbers:
+            return self._scene_numbers[scene], False
         n_meshes = len(self._meshes.arrays.get("mesh_vertadr", ()))
         values = self._compute_values(scene)
         key = hashlib.sha256(b"".join(array.tobytes() for array in values.values())).digest()
-        if key not in self._numbers:
-            (self._numbers[key],) = {self._scenes[name].extend(array) for name, array in values.items()}
-        number = self._known[scene] = self._numbers[key]
+        if key not in self._numbers_by_hash:
+            (self._numbers_by_hash[key],) = {self._scenes[name].extend(array) for name, array in values.items()}
+        number = self._scene_numbers[scene] = self._numbers_by_hash[key]
         if len(self._meshes.arrays["mesh_vertadr"]) == n_meshes:
             return number, False
         for name, array in self._meshes.arrays.items():

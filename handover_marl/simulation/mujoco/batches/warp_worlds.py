@@ -10,7 +10,7 @@ from handover_marl.config import HAND_DOF, OBJECT_DOF, HandConfig, PhysicsConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.errors import ResetNeededError, SimulationError
 from handover_marl.geometry.arrays import AnyArray, ArrayFactory, expand_mask, make_constant, to_numpy
-from handover_marl.geometry.kinematic_tree import TreeBank, read_tree
+from handover_marl.geometry.kinematic_tree import TreeBatch, read_tree
 from handover_marl.geometry.rotations import quaternions_from_euler, quaternions_from_matrices
 from handover_marl.simulation.mujoco.batches.warp_group import StepControls, WarpGroup
 from handover_marl.simulation.mujoco.batches.warp_model import compute_layout, load_padded_model
@@ -41,7 +41,7 @@ class DeviceHands:
         self._arrays = arrays
         self._gains = arrays.asarray([motor.position_gain for motor in list_hand_motors(config)], "float64")
         self.joints, self.present = arrays.zeros((count, HAND_DOF)), arrays.zeros(count, "bool")
-        self._hands, self._trees = arrays.zeros(count, "int64"), TreeBank("hands", arrays)
+        self._hands, self._trees = arrays.zeros(count, "int64"), TreeBatch("hands", arrays)
         self._keypoint_links: AnyArray = None
 
     def reset(self, row: int, urdf: Path, joints: npt.NDArray[np.float32] | None) -> None:

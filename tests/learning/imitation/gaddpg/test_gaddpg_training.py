@@ -36,7 +36,7 @@ def test_interrupted_run_is_resumed(
     update = ImitationLearner.update
 
     def update_once(learner: ImitationLearner, batch: Any) -> dict[str, float]:
-        if learner.done == 1:
+        if learner.n_updates == 1:
             raise KeyboardInterrupt
         return update(learner, batch)
 
