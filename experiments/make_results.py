@@ -2,18 +2,15 @@
 
     python experiments/make_results.py                              # pages and figure
     python experiments/make_results.py --add results/yang results/omg   # store these result folders first
-    python experiments/make_results.py --measure yang2021 --data-dir DIR   # evaluate on all test splits before
 
 `docs/results/data/episodes/` has a file with the outcome of every scene for each evaluation of a test split by the
-official protocol. `--add` writes these files, and notes the use of the test split in `test_use.csv`. `--measure`
-evaluates receivers in exact physics; a scene in the test splits of several setups is simulated once, and an
-interrupted run continues. Each template `docs/results/data/NAME.md.jinja` becomes the page
-`docs/results/NAME.md`. Differences are computed by `handover-marl compare`.
+official protocol (`handover-marl benchmark`). `--add` writes these files, and notes the use of the test split in
+`test_use.csv`. Each template `docs/results/data/NAME.md.jinja` becomes the page `docs/results/NAME.md`. Differences are
+computed by `handover-marl compare`.
 """
 
 import itertools
 import re
-import shutil
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,11 +19,8 @@ import tyro
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 import handover_marl
-from handover_marl.datasets.splits import SETUPS
 from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.episode.spaces import STATE
-from handover_marl.evaluation.config import EvaluationConfig, resolve_config
-from handover_marl.evaluation.metadata import OFFICIAL_WORLD, ResultMetadata
+from handover_marl.evaluation.metadata import OFFICIAL_WORLD
 from handover_marl.evaluation.reports.published import PUBLISHED, PublishedResult
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.tables import (
@@ -39,9 +33,7 @@ from handover_marl.evaluation.reports.tables import (
     format_csv,
     format_percent_rate,
 )
-from handover_marl.evaluation.results import ResultFolder, format_episode_file, get_result_path
-from handover_marl.geometry.panda import PANDA, PANDA_CAMERA
-from handover_marl.policies.reference import parse_policy
+from handover_marl.evaluation.results import format_episode_file
 
 FOLDER = Path(__file__).resolve().parents[1] / "docs" / "results"
 DATA = FOLDER / "data"
@@ -79,17 +71,11 @@ class Args:
         add: Result folders of complete evaluations to store first.
         purpose: Reason for the use of a test split, in its log.
         out: Folder for the pages and the figure.
-        measure: Receivers, with options, to evaluate on all test splits before all else.
-        data_dir: Data folder in HandoverSim's layout, for `measure`.
-        results: Folder for the result folders of `measure`.
     """
 
     add: tuple[Path, ...] = ()
     purpose: str = "table of results"
     out: Path = FOLDER
-    measure: tuple[str, ...] = ()
-    data_dir: str | None = None
-    results: Path = Path("results/measured")
 
 
 @dataclass(frozen=True)
@@ -145,29 +131,6 @@ def read_evaluations() -> list[Evaluation]:
     """Return all stored evaluations, in the order of their receivers in `INPUTS`."""
     found = [Evaluation(handover_marl.load_report(path), path) for path in sorted(EPISODES.glob("*.json"))]
     return sorted(found, key=lambda one: list(INPUTS).index(one.name))
-
-
-def measure(
-    receiver: str, out: Path, data_dir: str | None, setups: Sequence[str] = SETUPS, **config: str
-) -> Iterable[Report]:
-    """Evaluate a receiver (name with options) on the test split of each setup, and yield a report for each setup.
-
-    Result folders are in `out`; `config` has other fields of the configuration, such as another data set.
-    """
-    has_camera = parse_policy("receiver", receiver).policy_class.obs_mode != STATE
-    robot, paths = PANDA_CAMERA if has_camera else PANDA, dict[int, Path]()
-    for setup in setups:
-        chosen = {"setup": setup, "split": "test", "dataset": "dexycb", "physics": "exact"} | config
-        whole = EvaluationConfig(**chosen, data_dir=data_dir, receiver=receiver, robot=robot)  # type: ignore[arg-type]
-        folder = out / re.sub(r"\W+", "-", f"{receiver}-{whole.dataset}-{setup}")
-        resolved, dataset = resolve_config(whole)
-        ResultFolder(folder, ResultMetadata.from_config(resolved))
-        for index, scene in enumerate(dataset.list_scenes(setup, "test")):
-            path = get_result_path(folder, index)
-            if scene in paths and not path.exists():
-                shutil.copyfile(paths[scene], path)
-            paths.setdefault(scene, path)
-        yield handover_marl.benchmark(whole, out=str(folder))
 
 
 def add_evaluation(folder: Path, purpose: str) -> None:
@@ -361,12 +324,8 @@ def draw_figure(evaluations: list[Evaluation], path: Path) -> None:
 
 
 def main(args: Args) -> None:
-    """Measure and store new evaluations, then write the results pages and their figure."""
-    for receiver in args.measure:
-        for report in measure(receiver, args.results, args.data_dir):
-            print(report)
-    measured = args.results.iterdir() if args.measure else ()
-    for folder in (*args.add, *measured):
+    """Store new evaluations, then write the results pages and their figure."""
+    for folder in args.add:
         add_evaluation(folder, args.purpose)
     evaluations = read_evaluations()
     args.out.mkdir(parents=True, exist_ok=True)

@@ -389,7 +389,7 @@ class CameraSensor:
 
 
 def _select_content(parts: frozenset[str]) -> _ImageContent:
-    """Return the smallest content of an image that suffices for the parts of an observation mode."""
+    """Return which bodies an image must show for the parts of an observation mode, and whether in colours."""
     if RGB in parts:
         return _ImageContent.COLORED
     if parts & {*IMAGES, POINT_MAP}:

@@ -243,7 +243,7 @@ class World(ABC):
 
     @abstractmethod
     def read_state(self) -> WorldState:
-        """Return the current joint positions and poses of robot, objects and hand in the world frame, float32."""
+        """Return the current joints of robot and hand, and world poses of gripper and objects, float32."""
 
     @abstractmethod
     def read_agent_joints(self) -> AgentJoints:

@@ -11,14 +11,12 @@ import pytest
 
 import handover_marl
 from experiments import make_results
-from handover_marl.datasets.dataset import Dataset
 from handover_marl.datasets.splits import list_split_scenes
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.evaluation.metadata import ResultMetadata
 from handover_marl.evaluation.results import EpisodeResult, ResultFolder, encode_result
 from tests.docs.test_results import check_outcome_row, list_outcome_rows
 from tests.evaluation.quick import write_results
-from tests.helpers.short_episodes import shorten_episodes
 
 
 def make_folder(path: Path, receiver: str, outcomes: Iterator[int], wait: str = "3") -> Path:
@@ -101,17 +99,3 @@ def test_a_partial_folder_is_refused(pages: Path, tmp_path: Path) -> None:
     with pytest.raises(SystemExit, match="whole test split"):
         make_results.add_evaluation(write_results(tmp_path / "partial"), "a test")
     assert make_results.TEST_USE.read_text().count("a test") == 0
-
-
-@pytest.mark.slow
-def test_a_shared_scene_is_simulated_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    scenes = {"s0": (9,), "s2": (3, 9)}
-    shorten_episodes(monkeypatch, 300)
-    monkeypatch.setattr(Dataset, "list_scenes", lambda dataset, setup, split: scenes[setup])
-    where = {"dataset": "synthetic", "physics": "fast"}
-    first, second = make_results.measure("hold", tmp_path, None, ("s0", "s2"), **where)
-    assert [report.n_resumed for report in (first, second)] == [0, 1]
-    assert [result.scene_id for result in second.episodes] == [3, 9]
-    shared = [next(result for result in report.episodes if result.scene_id == 9) for report in (first, second)]
-    assert [result.index for result in shared] == [0, 1]
-    assert shared[0].steps == shared[1].steps

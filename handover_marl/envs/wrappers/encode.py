@@ -220,7 +220,10 @@ def make_no_outputs_error(agent: str) -> OptionError:
 
 
 def _complete_choices(argument: str, defaults: dict[str, str], choices: Any, agents: list[str]) -> dict[str, Any]:
-    """Return features or schemes by agent: `choices`, a dict by agent or the only agent's choice, else `defaults`."""
+    """Return the features or schemes of each of `agents`; agents that `choices` leaves out get those of `defaults`.
+
+    `choices` is a dict by agent, or the choice of the only agent; `argument` is its name in errors.
+    """
     if not isinstance(choices, Mapping):
         if choices is not None and len(agents) != 1:
             raise OptionError(

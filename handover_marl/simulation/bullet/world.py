@@ -66,7 +66,7 @@ class BulletWorld(World):
         self._release_pending = True
 
     def read_state(self) -> WorldState:
-        """Return the current joint positions and poses of robot, objects and hand in the world frame, float32."""
+        """Return the current joints of robot and hand, and world poses of gripper and objects, float32."""
         panda = self._loaded_workcell.panda
         return WorldState.from_bodies(
             panda.read_joint_states(),

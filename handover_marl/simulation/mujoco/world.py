@@ -270,7 +270,7 @@ class MujocoWorld(RolloutWorld):
         return data.scene.contact_sensors.compute_contacts(data.sensordata, data.qpos, released)
 
     def read_state(self) -> WorldState:
-        """Return the current joint positions and poses of robot, objects and hand in the world frame, float32."""
+        """Return the current joints of robot and hand, and world poses of gripper and objects, float32."""
         self._set_state()
         data, scene, hand = self.data, self.data.scene, self._get_hand_joints()
         positions, quaternions = self.robot.compute_body_poses(data.qpos[scene.robot_qpos])

@@ -124,7 +124,10 @@ def _compute_bounds(parts: Sequence[ConvexPart], has_offset: bool) -> tuple[Arra
 
 @functools.lru_cache(maxsize=4096)
 def _compute_part_bounds(part: ConvexPart, has_offset: bool) -> tuple[Array, Array]:
-    """Return both corners (m) of Bullet's bounding box of a part in the link's frame, as for `_compute_bounds`."""
+    """Return both corners (m) of Bullet's bounding box of a part in the link's frame.
+
+    `has_offset` says whether the link's center of mass differs from its frame.
+    """
     points = part.list_extreme_points()
     padding = 0.0
     if part.kind == "hull":
