@@ -46,7 +46,7 @@ class ViewPlanner:
 
     def __init__(self, arm: ArmInWorld, speeds: Array) -> None:
         self._arm, self._speeds = arm, speeds
-        self._begin = self._last_call = self._planned_at = self._left_at = -np.inf
+        self._begin = self._last_call = self._planned_at = self._arrived_at = -np.inf
         self._tried: list[Array] = []
         self._view: Array | None = None
 
@@ -72,11 +72,11 @@ class ViewPlanner:
                 return HOME
         else:
             if float(np.abs(joints - self._view).max()) > _REACHED_ERROR:
-                self._left_at = time
-            if time - self._left_at < _STAY_TIME and time - self._planned_at < _GIVE_UP_TIME:
+                self._arrived_at = time
+            if time - self._arrived_at < _STAY_TIME and time - self._planned_at < _GIVE_UP_TIME:
                 return self._view
         self._view = self._choose_view(joints, target, bodies)
-        self._planned_at = self._left_at = time
+        self._planned_at = self._arrived_at = time
         return HOME if self._view is None else self._view
 
     def _choose_view(self, joints: Array, target: Array, bodies: Spheres) -> Array | None:

@@ -132,10 +132,7 @@ def minimum_jerk(time: npt.ArrayLike) -> Array:
 
 
 def _draw_timing(random: RandomStream, speed: float, entry_distance: float, lift_time: float) -> HandoverTiming:
-    """Draw a timing for the wrist's peak `speed` (m/s), a reach of `entry_distance` (m) and a lift of `lift_time` (s).
-
-    If the recording is too short for them, reach and lift are shortened.
-    """
+    """Draw a timing for peak speed (m/s), reach (m) and lift (s), which are shortened if the recording is short."""
     n_keyframes = list(FRAME_COUNTS)[random.weighted_index(list(FRAME_COUNTS.values()))]
     onset = round(random.draw_quantile("hand_onset"))
     onset_share = random.uniform(0.05, 0.40)
@@ -222,10 +219,7 @@ def _add_hand_motion(
     placement: ObjectPlacement,
     giver: SimulatedGiver,
 ) -> KeyframeMotion:
-    """Add the hand's motion to that of the object, which has `position` (T, 3) (m) and `rotation` in T keyframes.
-
-    The hand reaches from the direction of `entry` (3,) (m), then follows the object.
-    """
+    """Add a hand's motion to T object poses: it reaches from the direction of `entry` (3,), then follows the object."""
     grasps, row = giver.grasps, placement.grasp
     object_from_hand = Rotation.from_matrix(giver.object_from_hand[row])
     base_rotation = Rotation.from_quat(multiply_quaternions(rotation.as_quat(), object_from_hand.as_quat()))
@@ -296,10 +290,7 @@ def _compute_reach_rotations(start: Array, end: Array, finger_direction: Array, 
 def _compute_height_offsets(
     giver: SimulatedGiver, base: Array, rotation: Rotation, fingers: Array, frames: npt.NDArray[np.int64]
 ) -> Array:
-    """Return heights (n,) in m by which to raise the hand in the keyframes `frames` (n,) to be clear of the table.
-
-    `base` (T, 3) (m), `rotation` and `fingers` (T, 45) (rad) are those of the hand in all T keyframes.
-    """
+    """Return heights (n,) in m by which to raise the hand in the keyframes `frames` (n,) to be clear of the table."""
     dof = np.concatenate([base[frames], rotation[frames].as_euler("XYZ"), fingers[frames]], axis=1)
     lowest = giver.hand.compute_keypoints(dof)[..., 2].min(axis=1)
     return np.asarray(np.maximum(0.0, JOINT_CLEARANCE - lowest), dtype=np.float64)
@@ -440,10 +431,7 @@ def resample_fingers(key_times: Array, fingers: Array, times: Array) -> Float32:
 
 
 def _resample_angles(key_times: Array, rotations: Rotation, times: Array) -> Array:
-    """Interpolate n `rotations` at `key_times` (n,) to intrinsic XYZ Euler angles (T, 3) in rad at `times` (T,), in s.
-
-    A constant start and end are not interpolated.
-    """
+    """Return intrinsic XYZ Euler angles (T, 3) (rad) at `times`; a constant start and end are not interpolated."""
     quaternions, still = rotations.as_quat(), rotations.as_euler("XYZ")
     moves = np.flatnonzero((quaternions[1:] != quaternions[:-1]).any(axis=1))
     if not len(moves):

@@ -15,7 +15,7 @@ from handover_marl.config import HAND_DOF, TIME_STEP
 from handover_marl.episode.loop import EpisodeCallback
 from handover_marl.geometry.kinematic_tree import compute_link_trajectory, read_tree
 from handover_marl.geometry.panda import HAND_LINK
-from handover_marl.simulation.distance_queries import ClearanceMonitor
+from handover_marl.simulation.clearance_monitor import ClearanceMonitor
 from handover_marl.simulation.reference_tracking import WRIST_LINK
 
 if TYPE_CHECKING:
@@ -117,7 +117,7 @@ class TraceRecorder(EpisodeCallback):
     trace: EpisodeTrace
 
     def __init__(self) -> None:
-        self._monitors: dict[Path, ClearanceMonitor] = {}
+        self._monitors: dict[tuple[Path, Path], ClearanceMonitor] = {}
 
     def on_reset(self, episode: "Episode") -> None:
         """Discard the records of the last episode."""
@@ -159,10 +159,11 @@ class TraceRecorder(EpisodeCallback):
         if has_hand.any():
             hand_frames = compute_link_trajectory(assets.hand, hand)
             wrist[has_hand] = hand_frames[0][:, WRIST_LINK]
-            if assets.panda not in self._monitors:
-                self._monitors[assets.panda] = ClearanceMonitor(assets.panda, panda)
-            monitor, (origins, rotations) = self._monitors[assets.panda], robot_frames
-            motion = assets.hand, robot[has_hand], hand, (origins[has_hand], rotations[has_hand]), hand_frames
+            models, (origins, rotations) = (assets.panda, assets.hand), robot_frames
+            if models not in self._monitors:
+                self._monitors[models] = ClearanceMonitor(*models, panda)
+            monitor = self._monitors[models]
+            motion = robot[has_hand], hand, (origins[has_hand], rotations[has_hand]), hand_frames
             min_distance = 0.0 if self._hand_forces else monitor.compute_min_margin(*motion)
             protective = compute_sampled_distances(wrist, gripper, n_samples)
             min_margin = monitor.compute_min_margin(*motion, protective[has_hand])

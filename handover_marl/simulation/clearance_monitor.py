@@ -23,20 +23,19 @@ class ClearanceMonitor:
 
     Args:
         panda_urdf: Model of the robot.
+        hand_urdf: Model of the human hand.
         config: Base pose of the robot.
     """
 
-    def __init__(self, panda_urdf: Path, config: PandaConfig) -> None:
+    def __init__(self, panda_urdf: Path, hand_urdf: Path, config: PandaConfig) -> None:
         # MuJoCo takes long to import.
-        from handover_marl.simulation.mujoco.distance_query import DistanceQuery
+        from handover_marl.simulation.mujoco.robot_hand_distance import RobotHandDistance
 
-        self._query = DistanceQuery(panda_urdf, config)
-        self._panda_urdf = panda_urdf
+        self._distance = RobotHandDistance(panda_urdf, hand_urdf, config)
         self._world_from_panda = np.array([*config.base_position, *config.base_orientation])
 
     def compute_min_margin(
         self,
-        hand_urdf: Path,
         robot: Array,
         hand: Array,
         robot_frames: tuple[Array, Array],
@@ -48,7 +47,6 @@ class ClearanceMonitor:
         The distance is 0 if robot and hand overlap; the result is at most 3 m.
 
         Args:
-            hand_urdf: Model of the human hand.
             robot: Joint positions (n, 9) of the Panda (rad, m).
             hand: Joint positions (n, 51) of the hand (m, rad).
             robot_frames: Link frames of the Panda at these joint positions, from `compute_link_trajectory`.
@@ -57,8 +55,8 @@ class ClearanceMonitor:
         """
         needed = np.zeros(len(robot)) if required is None else required
         spheres = [
-            _MovingSpheres(self._query.read_bounding_spheres(self._panda_urdf), robot_frames, self._world_from_panda),
-            _MovingSpheres(self._query.read_bounding_spheres(hand_urdf), hand_frames, IDENTITY),
+            _MovingSpheres(self._distance.robot_spheres, robot_frames, self._world_from_panda),
+            _MovingSpheres(self._distance.hand_spheres, hand_frames, IDENTITY),
         ]
         bounds = _bound_distances(*spheres) - needed
         smallest, left = _MAX_DISTANCE, np.arange(len(bounds))
@@ -66,7 +64,7 @@ class ClearanceMonitor:
             time = int(left[bounds[left].argmin()])
             # Larger distances at that time do not change the result.
             limit = smallest + float(needed[time])
-            found = max(0.0, self._query.measure(hand_urdf, robot[time].tolist(), hand[time].tolist(), limit))
+            found = max(0.0, self._distance.measure(robot[time].tolist(), hand[time].tolist(), limit))
             smallest = min(smallest, found - float(needed[time]))
             left = left[(bounds[left] < smallest) & (left != time)]
             moved = [own.bound_motion(time, left) for own in spheres]
