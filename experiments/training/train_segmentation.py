@@ -22,16 +22,15 @@ from rich.progress import track
 
 from handover_marl.learning.imitation.run import ImitationLearner
 from handover_marl.learning.imitation.samples import generate_samples, join_samples
-from handover_marl.learning.imitation.vision.point_segmentation import (
+from handover_marl.learning.imitation.vision.segmentation import (
+    LabelledBatches,
     PointBatches,
     PointSegmentationLearner,
-    collect_clouds,
-)
-from handover_marl.learning.imitation.vision.segmentation import (
     SegmentationBatches,
     SegmentationLearner,
     SegmentationRenderer,
     SegmentationViews,
+    collect_clouds,
 )
 from handover_marl.learning.networks.point_segmentation_network import PointSegmentationNetwork
 from handover_marl.learning.networks.segmentation_network import N_CLASSES, SegmentationNetwork
@@ -87,45 +86,13 @@ def load_views(args: Args, scenes: Sequence[int]) -> list[SegmentationViews]:
     return generate_samples(SegmentationViews, args.out / "views", scenes, make_renderer, "rendering", args.workers)
 
 
-def train_pixels(args: Args, views: list[SegmentationViews], held_out: list[SegmentationViews], path: Path) -> None:
-    """Train the network to classify pixels, print its metrics on `held_out` views, and write it to `path`."""
-    torch.manual_seed(args.seed)
-    batches, held_out_batches = (SegmentationBatches(join_samples(part)) for part in (views, held_out))
-    learner = SegmentationLearner(SegmentationNetwork(), args.updates, torch.device(args.device))
-    run_updates(learner, batches, args.updates, args.batch_size, args.seed)
-    print_shares(f"{len(held_out_batches)} images", learner.evaluate(held_out_batches))
-    write_network_weights(path, learner.averaged_network, {"made by": describe_origin("train_segmentation", args)})
-
-
-def train_points(
-    args: Args, views: list[SegmentationViews], held_out: list[SegmentationViews], network: SegmentationNetwork
-) -> None:
-    """Train the part of `network` that classifies points, replace it there, and print its metrics on `held_out`."""
-    torch.manual_seed(args.seed)
-    rng = np.random.default_rng(args.seed)
-    clouds, held_out_clouds = (
-        PointBatches(join_samples([found for one in part if (found := collect_clouds(network, one, rng))]))
-        for part in (views, held_out)
-    )
-    learner = PointSegmentationLearner(
-        PointSegmentationNetwork(N_CLASSES), args.point_updates, torch.device(args.device)
-    )
-    run_updates(learner, clouds, args.point_updates, args.point_batch_size, args.seed)
-    print_shares(f"{len(held_out_clouds)} clouds", learner.evaluate(held_out_clouds))
-    network.points = learner.averaged_network
-
-
-def run_updates(
-    learner: ImitationLearner[Any, Any], batches: SegmentationBatches | PointBatches, updates: int, size: int, seed: int
-) -> None:
-    """Update the learner's network `updates` times, each time by `size` samples that `seed` selects."""
-    for number in track(range(updates), description="updates"):
-        learner.update(batches.sample(size, np.random.default_rng((seed, number))))
-
-
-def print_shares(what: str, shares: dict[str, float]) -> None:
-    rounded = {name: round(float(share), 3) for name, share in shares.items()}
-    print(f"intersection over union in {what} of held-out scenes: {rounded}")
+def train(learner: ImitationLearner[Any, Any], data: Sequence[LabelledBatches], size: int, args: Args) -> None:
+    """Train the learner's network by batches of `size` samples of `data[0]`; print its metrics on those of `data[1]`."""
+    samples, held_out = data
+    for number in track(range(learner.updates), description="updates"):
+        learner.update(samples.sample(size, np.random.default_rng((args.seed, number))))
+    shares = {name: round(float(share), 3) for name, share in learner.evaluate(held_out).items()}
+    print(f"intersection over union in {len(held_out)} images or clouds of held-out scenes: {shares}")
 
 
 def main(args: Args) -> Path:
@@ -135,14 +102,23 @@ def main(args: Args) -> Path:
     mutable_args = ("workers", "device", "point_updates", "point_batch_size")
     folder = open_run_folder(args.out, args, args.resume, data.name, mutable_args)
     scenes = data.list_scenes(args.setup, "train")[:: args.stride]
-    views, held_out = (load_views(args, select(scenes)) for select in (select_training_scenes, select_held_out_scenes))
+    parts = [load_views(args, select(scenes)) for select in (select_training_scenes, select_held_out_scenes)]
     torch.set_num_threads(1)
     pixels, path = folder / "pixels.npz", folder / "segmentation.npz"
+    origin, device = {"made by": describe_origin("train_segmentation", args)}, torch.device(args.device)
     if not pixels.exists():
-        train_pixels(args, views, held_out, pixels)
+        torch.manual_seed(args.seed)
+        learner = SegmentationLearner(SegmentationNetwork(), args.updates, device)
+        train(learner, [SegmentationBatches(join_samples(part)) for part in parts], args.batch_size, args)
+        write_network_weights(pixels, learner.averaged_network, origin)
     network, _ = read_network_weights(pixels, SegmentationNetwork)
-    train_points(args, views, held_out, network)
-    write_network_weights(path, network, {"made by": describe_origin("train_segmentation", args)})
+    torch.manual_seed(args.seed)
+    rng = np.random.default_rng(args.seed)
+    found = [[cloud for one in part if (cloud := collect_clouds(network, one, rng))] for part in parts]
+    point_learner = PointSegmentationLearner(PointSegmentationNetwork(N_CLASSES), args.point_updates, device)
+    train(point_learner, [PointBatches(join_samples(part)) for part in found], args.point_batch_size, args)
+    network.points = point_learner.averaged_network
+    write_network_weights(path, network, origin)
     return path
 
 

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 import torch
@@ -34,9 +34,20 @@ _WEIGHT_DECAY = 1e-4
 LOSS_INTERVAL, METRICS_INTERVAL = 50, 500
 
 
-class Batches(Protocol):
-    """Data set of samples from which random batches are drawn."""
+class Batches(ABC):
+    """Data set of samples from which random batches are drawn.
 
+    Args:
+        samples: Arrays or tensors (n, ...) of n samples.
+    """
+
+    def __init__(self, samples: Sequence[Any]) -> None:
+        self._samples = samples
+
+    def __len__(self) -> int:
+        return len(self._samples[0])
+
+    @abstractmethod
     def sample(self, count: int, rng: np.random.Generator) -> Any:
         """Return a batch of `count` randomly drawn and augmented samples."""
 
@@ -57,6 +68,7 @@ class ImitationLearner(ABC, Generic[Network, Batch]):
         max_gradient_norm: Largest norm of the gradient; longer gradients are scaled down.
         averaging: Decay of the exponential average of the weights; with 0 the weights are not averaged.
         use_bfloat16: Whether matrix products are computed in bfloat16.
+        updates: Number of updates of the whole training.
         n_updates: Number of updates so far.
         averaged_network: Network with the averaged weights, for use after training.
     """
@@ -65,7 +77,7 @@ class ImitationLearner(ABC, Generic[Network, Batch]):
     max_gradient_norm, averaging, use_bfloat16 = 5.0, 0.0, True
 
     def __init__(self, network: Network, updates: int, device: torch.device) -> None:
-        self._updates, self._device = updates, device
+        self.updates, self._device = updates, device
         self._network = network.to(device)
         self._averages = AveragedModel(self._network, avg_fn=self._average, use_buffers=True)
         self.averaged_network: Network = self._averages.module.eval()  # type: ignore[assignment]
@@ -120,7 +132,7 @@ class ImitationLearner(ABC, Generic[Network, Batch]):
     def _compute_rate_share(self) -> float:
         """Return the present learning rates as fraction of the largest ones."""
         rise = min(1.0, (self.n_updates + 1) / max(1, self.warmup))
-        fall = 0.5 * (1.0 + math.cos(math.pi * min(1.0, self.n_updates / max(1, self._updates))))
+        fall = 0.5 * (1.0 + math.cos(math.pi * min(1.0, self.n_updates / max(1, self.updates))))
         return rise * (self.final_share + (1.0 - self.final_share) * fall)
 
     def _average(self, averaged: Tensor, current: Tensor, _: Tensor | int) -> Tensor:

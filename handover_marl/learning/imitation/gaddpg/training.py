@@ -14,9 +14,8 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor, nn
 
 from handover_marl.geometry.poses import IDENTITY, compose, inverse_transform_points, invert_pose, transform_points
-from handover_marl.learning.imitation.gaddpg.data_generation import ImitationStates
 from handover_marl.learning.imitation.gaddpg.expert import EXPERT_SPARE_STEPS
-from handover_marl.learning.imitation.run import ImitationLearner
+from handover_marl.learning.imitation.run import Batches, ImitationLearner
 from handover_marl.learning.networks.approach_field import compute_approach_steps
 from handover_marl.learning.networks.gaddpg_network import GaddpgNetwork
 from handover_marl.receivers.gaddpg import GRIPPER_POINTS
@@ -58,14 +57,8 @@ class ImitationBatch(NamedTuple):
     goals: Tensor
 
 
-class ImitationBatches:
-    """Data set of imitation states from which batches are selected."""
-
-    def __init__(self, states: ImitationStates) -> None:
-        self._states = states
-
-    def __len__(self) -> int:
-        return len(self._states.remaining)
+class ImitationBatches(Batches):
+    """Data set of `ImitationStates` from which batches are selected."""
 
     def sample(self, count: int, rng: np.random.Generator) -> ImitationBatch:
         """Draw a batch of `count` states with replacement; vary poses of the robot's hand and remaining decisions."""
@@ -73,7 +66,7 @@ class ImitationBatches:
 
     def select(self, numbers: npt.NDArray[np.int_], rng: np.random.Generator | None) -> ImitationBatch:
         """Return a batch of the states with the indices `numbers` (B,), augmented unless `rng` is None."""
-        points, goals, remaining = (array[numbers].astype(np.float64) for array in self._states)
+        points, goals, remaining = (array[numbers].astype(np.float64) for array in self._samples)
         count, present = len(numbers), np.tile(IDENTITY, (len(numbers), 1))
         if rng is not None:
             rotations = Rotation.from_rotvec(rng.normal(0.0, _ROTATION_STD, (count, 3))).as_quat()

@@ -1,10 +1,13 @@
-"""Rendered images with segmentation labels, and the training of the segmentation network of `vision`.
+"""Rendered images and point clouds with classes, and the training of the segmentation network of `vision`.
 
 Frames come from recordings, and arm poses are on random ways to the object. Camera errors, colours, light and depth
-noise are random in every image. The module needs the extra `train`.
+noise are random in every image. The clouds, for the part of the network that separates the points of object and hand,
+come from the images in which the image network finds object or hand. The module needs the extra `train`.
 """
 
-from typing import Any, NamedTuple
+from abc import abstractmethod
+from collections.abc import Sequence
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -15,11 +18,19 @@ from torch import Tensor
 
 from handover_marl.datasets.dataset import Scene
 from handover_marl.geometry.panda import OPEN
-from handover_marl.learning.imitation.run import ImitationLearner
+from handover_marl.learning.imitation.run import Batches, ImitationLearner, Network
 from handover_marl.learning.imitation.samples import stack_samples
 from handover_marl.learning.imitation.vision.views import RecordedViewRenderer, read_object_pose
+from handover_marl.learning.networks.point_segmentation_network import N_BODY_POINTS, PointSegmentationNetwork
 from handover_marl.learning.networks.segmentation_network import N_CLASSES, SegmentationNetwork
-from handover_marl.receivers.vision.mask_predictor import CLASS_LABELS
+from handover_marl.receivers.vision.mask_predictor import (
+    CLASS_LABELS,
+    HAND_CLASS,
+    MIN_BODY_PIXELS,
+    OBJECT_CLASS,
+    choose_points,
+    find_body_pixels,
+)
 from handover_marl.simulation.camera.images import JointSnapshot, SegmentationLabel
 from handover_marl.simulation.camera.noise import CameraNoise, apply_camera_noise
 from handover_marl.simulation.camera.optics import WRIST_CAMERA, deproject
@@ -27,6 +38,7 @@ from handover_marl.simulation.camera.randomization import CameraRandomization
 from handover_marl.simulation.camera.ray_camera import RayCamera
 
 Array = npt.NDArray[np.float64]
+Float32 = npt.NDArray[np.float32]
 Rng = np.random.Generator
 
 # Deviations of the cameras, about twice those of the camera noise "imperfect", and noise of every second image.
@@ -41,10 +53,13 @@ _LAST_FRAME_SHARE = 0.4
 _JOINT_STD, _DIRECTION_STD, _ROLL_STD, _DISTANCES, _END_SHARE = 0.15, 0.35, 1.0, (0.08, 0.6), 0.3
 # Label of pixels without a depth, which have no class.
 _IGNORED = 255
-# Weights of the classes in the loss, since few pixels show object and hand.
-_CLASS_WEIGHTS = (1.0, 2.0, 2.0, 3.0)
 # Side of the sections of images in a batch (pixels), and share of those that are anywhere in the image.
 _SECTION, _ANYWHERE_SHARE = 128, 0.25
+# Number of points of a cloud in memory, and of those from which the vertical is computed.
+_N_KEPT, _N_VERTICAL = 768, 400
+# Augmentation of clouds: largest relative change of the size; standard deviations of a tilt (rad) and of the
+# differences of logits; largest noise of points (m); share of clouds without differences of logits.
+_SCALE, _TILT_STD, _MARGIN_STD, _MAX_NOISE, _UNKNOWN_SHARE = 0.07, 0.05, 0.7, 0.001, 0.3
 _N_EVALUATED = 32
 
 
@@ -114,76 +129,176 @@ class SegmentationRenderer(RecordedViewRenderer):
         return joints
 
 
-#: B images: colours, depths, heights and classes, as in `SegmentationViews`.
-Batch = tuple[Tensor, ...]
-
-
-class SegmentationBatches:
-    """Data set of images, from which batches are selected."""
-
-    def __init__(self, views: SegmentationViews) -> None:
-        self._views = views
-
-    def __len__(self) -> int:
-        return len(self._views.rgb)
-
-    def sample(self, count: int, rng: Rng) -> Batch:
-        """Return a batch of `count` random sections of images, most of them around object or hand."""
-        rows = []
-        for number in rng.integers(len(self), size=count):
-            classes = self._views.classes[number]
-            shown = np.flatnonzero((classes > 0) & (classes != _IGNORED))
-            is_any = not len(shown) or rng.random() < _ANYWHERE_SHARE
-            center = rng.integers(classes.size) if is_any else shown[rng.integers(len(shown))]
-            corner = np.array(np.unravel_index(center, classes.shape)) - rng.integers(_SECTION, size=2)
-            row, column = np.clip(corner, 0, np.array(classes.shape) - _SECTION)
-            rows.append([part[number, row : row + _SECTION, column : column + _SECTION] for part in self._views])
-        return tuple(torch.from_numpy(np.stack(part)) for part in zip(*rows, strict=True))
-
-    def select(self, numbers: npt.NDArray[np.integer]) -> Batch:
-        """Return the images with the given numbers (B,)."""
-        return tuple(torch.from_numpy(part[numbers]) for part in self._views)
-
-
-class SegmentationLearner(ImitationLearner[SegmentationNetwork, Batch]):
-    """Trainer of the segmentation network; reproducible for a seed, a device and a number of threads."""
-
-    learning_rate, warmup, averaging = 3e-3, 50, 0.99
-
-    def compute_losses(self, network: SegmentationNetwork, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
-        """Return the weighted cross entropy of the classes, to minimize and to report."""
-        *inputs, classes = (part.to(self._device) for part in batch)
-        weights = torch.tensor(_CLASS_WEIGHTS, device=self._device)
-        loss = func.cross_entropy(network(*inputs), classes.long(), weights, ignore_index=_IGNORED)
-        return loss, {"cross_entropy": loss}
-
-    def evaluate(self, held_out: SegmentationBatches) -> dict[str, float]:
-        """Return the intersection over union of each class, over all pixels of the held-out images, by its name."""
-        counts = np.zeros((N_CLASSES, N_CLASSES))
-        with torch.inference_mode():
-            for numbers in np.array_split(np.arange(len(held_out)), -(-len(held_out) // _N_EVALUATED)):
-                *inputs, classes = (part.to(self._device) for part in held_out.select(numbers))
-                has_class = classes != _IGNORED
-                counts += count_pairs(classes[has_class], self.averaged_network(*inputs).argmax(dim=1)[has_class])
-        return compute_shares(counts)
-
-
-def count_pairs(classes: Tensor, predicted: Tensor) -> npt.NDArray[np.int64]:
-    """Return how often each pair of a true and a predicted class occurs, (4, 4)."""
-    found = (N_CLASSES * classes.long() + predicted).flatten().bincount(minlength=N_CLASSES**2)
-    counts: npt.NDArray[np.int64] = found.reshape(N_CLASSES, N_CLASSES).cpu().numpy()
-    return counts
-
-
-def compute_shares(counts: Array) -> dict[str, float]:
-    """Return the intersection over union of each class, by its name, from the sums (4, 4) of `count_pairs`."""
-    union = counts.sum(axis=0) + counts.sum(axis=1) - counts.diagonal()
-    shares = counts.diagonal() / np.maximum(union, 1.0)
-    return {SegmentationLabel(label).name.lower(): share for label, share in zip(CLASS_LABELS, shares, strict=True)}
-
-
 def _find_classes(segmentation: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
     """Return the classes (h, w) of the network for segmentation labels (h, w)."""
     numbers = np.zeros(len(SegmentationLabel), dtype=np.uint8)
     numbers[CLASS_LABELS] = np.arange(N_CLASSES)
     return numbers[segmentation]
+
+
+class BodyClouds(NamedTuple):
+    """Clouds of n points in each of v views, as inputs of `PointSegmentationNetwork`.
+
+    Attributes:
+        points: (v, n, 3) points in a frame with the world's z axis (m).
+        margins: (v, n) differences of the logits of hand and object.
+        hand_links: (v, 3) positions of the hand link in that frame (m).
+        classes: (v, n) classes of the points.
+    """
+
+    points: Float32
+    margins: Float32
+    hand_links: Float32
+    classes: npt.NDArray[np.uint8]
+
+
+def collect_clouds(network: SegmentationNetwork, views: SegmentationViews, rng: Rng) -> BodyClouds | None:
+    """Return the clouds of the views in which the network finds enough pixels of object or hand; None if there is none.
+
+    The depths of a view give points in the hand link's frame, and their heights the direction of the world's z axis.
+    """
+    rows = []
+    for image in zip(*views, strict=True):
+        with torch.inference_mode():
+            logits = network(*(torch.from_numpy(part)[None] for part in image[:3]))[0].numpy()
+        depth, heights, classes = image[1].astype(np.float32), image[2].ravel(), image[3].ravel()
+        pixels = find_body_pixels(logits, depth)
+        if len(pixels) < MIN_BODY_PIXELS:
+            continue
+        points = deproject(depth, np.ones(depth.shape, dtype=np.bool_))
+        rotation, hand_link = _fit_vertical(points, heights, rng.choice(pixels, _N_VERTICAL))
+        chosen = pixels[choose_points(len(pixels), _N_KEPT, rng)]
+        margins = (logits[HAND_CLASS] - logits[OBJECT_CLASS]).flat[chosen]
+        rows.append((points[chosen] @ rotation.T + hand_link, margins, hand_link, classes[chosen]))
+    if not rows:
+        return None
+    points, margins, hand_links, chosen_classes = map(np.stack, zip(*rows, strict=True))
+    return BodyClouds(points.astype(np.float32), margins, hand_links.astype(np.float32), chosen_classes)
+
+
+def _fit_vertical(
+    points: Float32, heights: npt.NDArray[np.floating], rows: npt.NDArray[np.int64]
+) -> tuple[Array, Array]:
+    """Return the rotation (3, 3) to a frame with the world's z axis, and the position (3,) of the origin in it.
+
+    Points (n, 3) with the indices `rows` determine them, by their heights (n,) in the world.
+    """
+    equations = np.column_stack([points[rows], np.ones(len(rows))])
+    *vertical, height = np.linalg.lstsq(equations, heights[rows].astype(np.float64), rcond=None)[0]
+    up = np.array(vertical) / np.linalg.norm(vertical)
+    side = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
+    side /= np.linalg.norm(side)
+    return np.stack([side, np.cross(up, side), up]), np.array([0.0, 0.0, height])
+
+
+#: Images or clouds of a batch, as the fields of `SegmentationViews` or `BodyClouds`; the classes are the last field.
+Batch = tuple[Tensor, ...]
+
+
+class LabelledBatches(Batches):
+    """Data set of images or clouds with classes, from which batches are selected."""
+
+    @abstractmethod
+    def augment(self, number: int, rng: Rng) -> Sequence[npt.NDArray[Any]]:
+        """Return the fields of an augmented part of the image or cloud with a number."""
+
+    def sample(self, count: int, rng: Rng) -> Batch:
+        """Return a batch of `count` augmented parts of random images or clouds."""
+        rows = [self.augment(number, rng) for number in rng.integers(len(self), size=count)]
+        return tuple(torch.from_numpy(np.stack(part)) for part in zip(*rows, strict=True))
+
+    def select(self, numbers: npt.NDArray[np.integer]) -> Batch:
+        """Return the images or clouds with the given numbers (B,)."""
+        return tuple(torch.from_numpy(part[numbers]) for part in self._samples)
+
+
+class SegmentationBatches(LabelledBatches):
+    """Data set of `SegmentationViews`."""
+
+    def augment(self, number: int, rng: Rng) -> Sequence[npt.NDArray[Any]]:
+        """Return a random section of an image, most often around object or hand."""
+        classes = self._samples[-1][number]
+        shown = np.flatnonzero((classes > 0) & (classes != _IGNORED))
+        is_any = not len(shown) or rng.random() < _ANYWHERE_SHARE
+        center = rng.integers(classes.size) if is_any else shown[rng.integers(len(shown))]
+        corner = np.array(np.unravel_index(center, classes.shape)) - rng.integers(_SECTION, size=2)
+        row, column = np.clip(corner, 0, np.array(classes.shape) - _SECTION)
+        return [part[number, row : row + _SECTION, column : column + _SECTION] for part in self._samples]
+
+
+class PointBatches(LabelledBatches):
+    """Data set of `BodyClouds`."""
+
+    def augment(self, number: int, rng: Rng) -> Sequence[npt.NDArray[Any]]:
+        """Return random points of a cloud, turned, tilted, mirrored, scaled and noisy."""
+        points, margins, hand_link, classes = (part[number] for part in self._samples)
+        chosen = rng.permutation(_N_KEPT)[:N_BODY_POINTS]
+        mean = points[chosen].mean(axis=0)
+        turn = Rotation.from_euler("zxy", [rng.uniform(-np.pi, np.pi), *rng.normal(0.0, _TILT_STD, 2)]).as_matrix()
+        turn[:, 1] *= rng.choice([-1.0, 1.0])
+        turn *= rng.uniform(1.0 - _SCALE, 1.0 + _SCALE)
+        moved = (points[chosen] - mean) @ turn.T + rng.normal(0.0, _MAX_NOISE * rng.random(), (N_BODY_POINTS, 3)) + mean
+        known = 0.0 if rng.random() < _UNKNOWN_SHARE else margins[chosen] + rng.normal(0.0, _MARGIN_STD)
+        return (
+            moved.astype(np.float32),
+            np.broadcast_to(known, N_BODY_POINTS).astype(np.float32),
+            ((hand_link - mean) @ turn.T + mean).astype(np.float32),
+            classes[chosen],
+        )
+
+    def select(self, numbers: npt.NDArray[np.integer]) -> Batch:
+        """Return the first 256 points of the clouds with the given numbers (B,)."""
+        points, margins, hand_links, classes = super().select(numbers)
+        return points[:, :N_BODY_POINTS], margins[:, :N_BODY_POINTS], hand_links, classes[:, :N_BODY_POINTS]
+
+
+class LabelLearner(ImitationLearner[Network, Batch]):
+    """Base class of trainers of networks that classify the pixels of images or the points of clouds.
+
+    Attributes:
+        class_weights: Weights of the classes in the loss.
+    """
+
+    class_weights: ClassVar[tuple[float, ...]]
+
+    def compute_logits(self, network: Network, batch: Batch) -> tuple[Tensor, Tensor]:
+        """Return logits (B, 4, h, w) of the classes, or (n, 4) of n points, and true classes (B, h, w) or (n,)."""
+        *inputs, classes = (part.to(self._device) for part in batch)
+        return network(*inputs), classes.long()
+
+    def compute_losses(self, network: Network, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
+        """Return the weighted cross entropy of the classes, to minimize and to report."""
+        weights = torch.tensor(self.class_weights, device=self._device)
+        loss = func.cross_entropy(*self.compute_logits(network, batch), weights, ignore_index=_IGNORED)
+        return loss, {"cross_entropy": loss}
+
+    def evaluate(self, held_out: LabelledBatches) -> dict[str, float]:
+        """Return the intersection over union of each class, over all held-out images or clouds, by its name."""
+        counts = np.zeros((N_CLASSES, N_CLASSES))  # of pairs of a true and a predicted class
+        with torch.inference_mode():
+            for numbers in np.array_split(np.arange(len(held_out)), -(-len(held_out) // _N_EVALUATED)):
+                logits, classes = self.compute_logits(self.averaged_network, held_out.select(numbers))
+                pairs = (N_CLASSES * classes + logits.argmax(dim=1))[classes != _IGNORED]
+                counts += pairs.bincount(minlength=N_CLASSES**2).reshape(N_CLASSES, N_CLASSES).cpu().numpy()
+        union = counts.sum(axis=0) + counts.sum(axis=1) - counts.diagonal()
+        shares = counts.diagonal() / np.maximum(union, 1.0)
+        return {SegmentationLabel(label).name.lower(): share for label, share in zip(CLASS_LABELS, shares, strict=True)}
+
+
+class SegmentationLearner(LabelLearner[SegmentationNetwork]):
+    """Trainer of the segmentation network; reproducible for a seed, a device and a number of threads."""
+
+    learning_rate, warmup, averaging = 3e-3, 50, 0.99
+    class_weights = (1.0, 2.0, 2.0, 3.0)  # few pixels show object and hand
+
+
+class PointSegmentationLearner(LabelLearner[PointSegmentationNetwork]):
+    """Trainer of the network that classifies points of object and hand."""
+
+    learning_rate, warmup, averaging = 2e-3, 100, 0.995
+    class_weights = (1.0, 1.0, 1.0, 1.5)
+
+    def compute_logits(self, network: PointSegmentationNetwork, batch: Batch) -> tuple[Tensor, Tensor]:
+        """Return logits (n, 4) and true classes (n,) of the n points of a batch."""
+        logits, classes = super().compute_logits(network, batch)
+        return logits.flatten(end_dim=1), classes.flatten()

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from handover_marl.geometry.panda import PAD_DISTANCE
 from handover_marl.geometry.rotations import matrices_from_quaternions
-from handover_marl.learning.imitation.run import ImitationLearner
+from handover_marl.learning.imitation.run import Batches, ImitationLearner
 from handover_marl.learning.imitation.vision.views import GraspViews
 from handover_marl.learning.networks.grasp_network import GraspNetwork, GraspOutputs, PointCloudBatch
 
@@ -147,7 +147,7 @@ def _gripper_distances(positions: Tensor, rotations: Tensor, targets: Tensor, ta
     return distances
 
 
-class ViewBatches:
+class ViewBatches(Batches):
     """Data set of rendered views as tensors, from which batches are selected.
 
     Args:
@@ -156,10 +156,7 @@ class ViewBatches:
     """
 
     def __init__(self, views: GraspViews, device: torch.device) -> None:
-        self._tensors = [torch.from_numpy(np.ascontiguousarray(array)).to(device) for array in views]
-
-    def __len__(self) -> int:
-        return len(self._tensors[0])
+        super().__init__([torch.from_numpy(np.ascontiguousarray(array)).to(device) for array in views])
 
     def sample(self, count: int, rng: np.random.Generator) -> LabelledClouds:
         """Return a batch of `count` randomly drawn and augmented views."""
@@ -175,7 +172,7 @@ class ViewBatches:
             centers: Number of centers per view, drawn among the object's points.
             generator: Generator that draws the centers.
         """
-        parts = [tensor[numbers.to(tensor.device)].float() for tensor in self._tensors]
+        parts = [tensor[numbers.to(tensor.device)].float() for tensor in self._samples]
         objects, hands, n_hands, grasps, quality, object_center, velocity, motion = parts
         indices = torch.rand(objects.shape[:2], generator=generator).argsort(dim=1)[:, :centers].to(objects.device)
         mask = torch.arange(hands.shape[1], device=hands.device) < n_hands[:, None]

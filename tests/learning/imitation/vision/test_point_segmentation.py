@@ -6,13 +6,13 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
-from handover_marl.learning.imitation.vision.point_segmentation import (
+from handover_marl.learning.imitation.vision.segmentation import (
     BodyClouds,
     PointBatches,
     PointSegmentationLearner,
+    SegmentationViews,
     collect_clouds,
 )
-from handover_marl.learning.imitation.vision.segmentation import SegmentationViews
 from handover_marl.learning.networks.point_segmentation_network import N_BODY_POINTS, PointSegmentationNetwork
 from handover_marl.learning.networks.segmentation_network import N_CLASSES, SegmentationNetwork
 from handover_marl.receivers.vision.mask_predictor import HAND_CLASS, OBJECT_CLASS, choose_points
