@@ -320,7 +320,7 @@ class CameraSensor:
         if not self.has_latency or self._scene is None or not link:
             return cloud
         # Robots know their joint positions at the time of an image.
-        then, now = self._history[0][1].robot[:ARM_DOF], world.read_agent_joints().robot[:ARM_DOF]
+        then, now = self._history[0][1].robot[:ARM_DOF], world.read_joint_snapshot().robot[:ARM_DOF]
         if np.array_equal(then, now):
             return cloud
         chain = ArmKinematics(read_tree(self._scene.assets.panda)).compute_chain_frames(

@@ -32,7 +32,7 @@ from handover_marl.simulation.camera.noise import CameraNoise
 from handover_marl.simulation.camera.optics import HANDOVERSIM_MODEL
 from handover_marl.simulation.camera.randomization import CALIBRATION_ERRORS, CameraRandomization
 from handover_marl.simulation.engines import check_physics, make_world
-from handover_marl.simulation.world import Contacts, RolloutWorld, World
+from handover_marl.simulation.world import Contacts, World
 
 
 @dataclass(frozen=True)
@@ -176,20 +176,20 @@ class Episode:
             )
             world.set_reference(plan.reference.select(0, n_objects))
             steps -= planned
-            if isinstance(world, RolloutWorld) and not on_step and not sensors:
-                simulated = self._simulate_rollout(world, target, planned)
-            else:
+            simulated = None if on_step or sensors else self._simulate_rollout(world, target, planned)
+            if simulated is None:
                 simulated = self._simulate_single_steps(world, target, planned, sensors, on_step)
             motion.commit(plan, np.array([simulated]))
 
-    def _simulate_rollout(self, world: RolloutWorld, target: list[float], steps: int) -> int:
-        """Simulate up to `steps` physics steps with joint targets `target` (9,) in one call; return their number."""
+    def _simulate_rollout(self, world: World, target: list[float], steps: int) -> int | None:
+        """Simulate up to `steps` physics steps with joint targets `target` (9,) in one call; see `World.rollout`."""
         states = RefereeState(*(np.array([value]) for value in self._referee.get_state()))
         rules = self.config.protocol
-        simulated = type(world).rollout([world], [target], steps, make_judge(states, rules), rules)
-        self._referee.restore(states.select_rows(0))
-        self._contacts = None
-        return int(simulated[0])
+        simulated = world.rollout(target, steps, make_judge(states, rules), rules)
+        if simulated is not None:
+            self._referee.restore(states.select_rows(0))
+            self._contacts = None
+        return simulated
 
     def _simulate_single_steps(
         self,

@@ -250,7 +250,7 @@ class EpisodeAgent:
             self.action = found
             return
         if not self.action.size:
-            self.action = episode.world.read_agent_joints().robot.copy()
+            self.action = episode.world.read_joint_snapshot().robot.copy()
         passed = self.planning_time if self._inference_time == MEASURED else float(self._inference_time)
         self.pending_action, self._effect_step = found, episode.steps + round(passed / TIME_STEP)
         self.next_decision_step = max(self.next_decision_step, self._effect_step)

@@ -1,13 +1,20 @@
 """Physics engines by name: creation of worlds."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias
 
 from handover_marl.config import PhysicsConfig
 from handover_marl.errors import OptionError, check_name
 from handover_marl.execution.options import is_pybullet_installed, require_modules, require_pybullet
 from handover_marl.geometry.arrays import ArrayFactory
 from handover_marl.simulation.world import World
-from handover_marl.simulation.worlds import HostWorlds, Worlds
+
+if TYPE_CHECKING:
+    from handover_marl.simulation.mujoco.batches.warp_world_batch import WarpWorldBatch
+    from handover_marl.simulation.mujoco.world import MujocoWorldBatch
+
+#: Batch of worlds that one engine simulates together; both classes have the same methods.
+WorldBatch: TypeAlias = "MujocoWorldBatch | WarpWorldBatch"
 
 EXACT, FAST, MUJOCO = "exact", "fast", "mujoco"
 #: "exact" equals HandoverSim's PyBullet simulation bit for bit; "fast" is PyBullet that simulates objects only while
@@ -48,7 +55,7 @@ def make_world(physics: str, config: PhysicsConfig, window: bool = False) -> Wor
         from handover_marl.simulation.mujoco.world import MujocoWorld
 
         return MujocoWorld(config, window)
-    from handover_marl.simulation.bullet.worlds import ExactWorld, FastWorld
+    from handover_marl.simulation.bullet.exact_and_fast import ExactWorld, FastWorld
 
     return ExactWorld(config, window) if physics == EXACT else FastWorld(config, window)
 
@@ -86,7 +93,7 @@ def check_backend(backend: BatchBackend) -> None:
         )
 
 
-def make_worlds(config: PhysicsConfig, count: int, backend: BatchBackend, arrays: ArrayFactory) -> Worlds:
+def make_world_batch(config: PhysicsConfig, count: int, backend: BatchBackend, arrays: ArrayFactory) -> WorldBatch:
     """Create `count` worlds without scenes, which MuJoCo or MuJoCo Warp simulates together.
 
     Args:
@@ -98,11 +105,9 @@ def make_worlds(config: PhysicsConfig, count: int, backend: BatchBackend, arrays
     check_physics(MUJOCO)
     check_backend(backend)
     if backend.name == WARP:
-        from handover_marl.simulation.mujoco.batches.warp_worlds import WarpWorlds
+        from handover_marl.simulation.mujoco.batches.warp_world_batch import WarpWorldBatch
 
-        return WarpWorlds(config, count, arrays)
-    from handover_marl.simulation.mujoco.batch_simulation import BatchSimulation
-    from handover_marl.simulation.mujoco.world import MujocoWorld
+        return WarpWorldBatch(config, count, arrays)
+    from handover_marl.simulation.mujoco.world import MujocoWorldBatch
 
-    simulation = BatchSimulation()
-    return HostWorlds([MujocoWorld(config, simulation=simulation) for _ in range(count)])
+    return MujocoWorldBatch(config, count)

@@ -25,8 +25,6 @@ from handover_marl.simulation.camera.renderers import check_rendering
 from handover_marl.simulation.reference_tracking import ReferenceMotion
 
 if TYPE_CHECKING:
-    from typing import Self
-
     from handover_marl.simulation.bullet.rendering import SceneRenderer
 
 
@@ -180,18 +178,6 @@ class WorldState(NamedTuple):
         return cls(*(arrays.zeros((count, *shape), "float32") for shape in shapes))
 
 
-class AgentJoints(NamedTuple):
-    """Joint positions of robot and human hand, float32 (m, rad); fast to read.
-
-    Attributes:
-        robot: Positions (9,) of the Panda's joints.
-        hand: Positions (51,) of the human hand's joints, or None if there is no hand.
-    """
-
-    robot: npt.NDArray[np.float32]
-    hand: npt.NDArray[np.float32] | None
-
-
 class World(ABC):
     """Simulated table, Panda, objects and human hand, advanced in steps of 1 ms.
 
@@ -228,6 +214,20 @@ class World(ABC):
             robot_target: Nine joint targets of the Panda (rad, m), float32 values.
         """
 
+    def rollout(self, robot_target: list[float], steps: int, judge: JudgeFunction, rules: ProtocolConfig) -> int | None:
+        """Simulate up to `steps` physics steps in one call, if the engine can; else return None.
+
+        Args:
+            robot_target: Nine joint targets of the Panda (rad, m), float32 values.
+            steps: Number of physics steps, at most the rows of the reference motion.
+            judge: Function that applies the rules of release and end to the contacts of this world, index 0.
+            rules: Bounds of the grasp region of the fingers.
+
+        Returns:
+            Number of simulated steps, fewer than `steps` if the episode ends.
+        """
+        return None
+
     @abstractmethod
     def read_contacts(self, released: bool) -> Contacts:
         """Return the contacts of robot, hand and objects in the last physics step.
@@ -246,20 +246,12 @@ class World(ABC):
         """Return the current joints of robot and hand, and world poses of gripper and objects, float32."""
 
     @abstractmethod
-    def read_agent_joints(self) -> AgentJoints:
-        """Return the current joint positions of robot and human hand, float32 (rad, m); `hand` is None if absent."""
-
-    @abstractmethod
     def read_joints_float64(self) -> npt.NDArray[np.float64]:
         """Return the robot's joint positions (9,) in the engine's double precision (rad, m)."""
 
     @abstractmethod
-    def read_object_joints(self) -> npt.NDArray[np.float32]:
-        """Return the joint positions (n, 6) of n objects: xyz (m), intrinsic XYZ Euler angles (rad), float32."""
-
     def read_joint_snapshot(self) -> JointSnapshot:
         """Return the current joint positions of robot (9,), hand (51,; None if absent) and objects (n, 6), float32."""
-        return JointSnapshot(*self.read_agent_joints(), self.read_object_joints())
 
     def render(self, camera: CameraConfig) -> npt.NDArray[np.uint8]:
         """Render the current world state as an RGB image (height, width, 3), uint8, with PyBullet's renderer."""
@@ -294,23 +286,3 @@ class World(ABC):
                 self._renderer.close()
             self._renderer = SceneRenderer(self._scene, self._config)
         return self._renderer
-
-
-class RolloutWorld(World):
-    """Base class of worlds whose engine simulates many steps of several worlds at once."""
-
-    @classmethod
-    @abstractmethod
-    def rollout(
-        cls,
-        worlds: "Sequence[Self]",
-        robot_targets: Sequence[list[float]],
-        steps: int,
-        judge: JudgeFunction,
-        rules: ProtocolConfig,
-    ) -> npt.NDArray[np.int_]:
-        """Simulate n worlds for `steps` steps, or until their episodes end; return the step counts (n,).
-
-        The worlds must have reference motions. `robot_targets` has nine joint targets (rad, m; float32 values) for each
-        world. `judge` and `rules` are as in `handover_marl.simulation.worlds.Worlds.rollout`.
-        """

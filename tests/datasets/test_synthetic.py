@@ -10,7 +10,7 @@ from handover_marl.datasets.splits import SETUPS, SPLIT_SIZES, SPLITS
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
 from handover_marl.errors import SceneError
-from handover_marl.simulation.bullet.worlds import ExactWorld
+from handover_marl.simulation.bullet.exact_and_fast import ExactWorld
 from tests.helpers.equality import hash_scene
 
 DATASET = SyntheticDataset()

@@ -65,7 +65,7 @@ def test_steps_with_callbacks_equal_rollouts(batch_episode: Episode, monkeypatch
             episode.advance(action, round(1000 * min(receiver.hold_time, 20.0)), on_step=hooks)
         contacts = episode.contacts._replace(finger_points=(NO_POINTS, NO_POINTS))
         outcomes.append((episode.status, episode.steps, episode.release_reason, episode.release_step, contacts))
-        outcomes[-1] += (episode.world.read_object_joints().tolist(),)
+        outcomes[-1] += (episode.world.read_joint_snapshot().objects.tolist(),)
     first, second = outcomes
     assert first == second
     assert first[0] is EpisodeStatus.SUCCESS
@@ -89,13 +89,13 @@ def test_voluntary_release(episode: Episode) -> None:
     np.testing.assert_allclose(after["object_poses"][0, :3] - before["object_poses"][0, :3], shift, atol=5e-3)
     np.testing.assert_allclose(after["object_poses"][1:], before["object_poses"][1:], atol=1e-4)
     episode.advance(START, 1200)
-    height = episode.world.read_object_joints()[0, 2]
+    height = episode.world.read_joint_snapshot().objects[0, 2]
     episode.advance(START, 1, RELEASE)
     assert (episode.release_reason, episode.release_step) == (ReleaseReason.VOLUNTARY, HELD + 2400)
     assert episode.object_offered is False
     episode.advance(START, 100, RELEASE)
     assert episode.release_step == HELD + 2400
-    assert episode.world.read_object_joints()[0, 2] < height - 0.02, "the object falls"
+    assert episode.world.read_joint_snapshot().objects[0, 2] < height - 0.02, "the object falls"
     assert not episode.observe_giver(episode.observe())["deviation"].any()
     episode.advance(START, 2000)
     assert episode.status == EpisodeStatus.OBJECT_DROP

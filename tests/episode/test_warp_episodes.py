@@ -9,7 +9,7 @@ pytest.importorskip("mujoco_warp", reason="needs the extra `warp`")
 
 from handover_marl.config import OFFICIAL_CONFIG
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.episode.episodes import Episodes
+from handover_marl.episode.episode_batch import EpisodeBatch
 from handover_marl.episode.referee import RELEASE_REASONS, EpisodeStatus, ReleaseReason
 from handover_marl.geometry.arrays import to_numpy
 from handover_marl.simulation.engines import WARP, BatchBackend
@@ -24,7 +24,7 @@ HORIZON, PERIOD = 900, 200
 CONFIG = replace(OFFICIAL_CONFIG, protocol=replace(OFFICIAL_CONFIG.protocol, horizon_steps=HORIZON))
 
 
-def compare(arrays: Episodes, tensors: Episodes, atol: float) -> None:
+def compare(arrays: EpisodeBatch, tensors: EpisodeBatch, atol: float) -> None:
     """Compare observations and infos of both batches."""
     rows, indices = np.arange(len(SCENES)), tensors.arrays.arange(len(SCENES))
     arrays.update_state(rows)
@@ -45,7 +45,7 @@ def compare(arrays: Episodes, tensors: Episodes, atol: float) -> None:
 
 
 def test_episodes_agree_with_those_of_mujoco() -> None:
-    arrays, tensors = Episodes(CONFIG, COUNT, BatchBackend()), Episodes(CONFIG, COUNT, BatchBackend(WARP))
+    arrays, tensors = EpisodeBatch(CONFIG, COUNT, BatchBackend()), EpisodeBatch(CONFIG, COUNT, BatchBackend(WARP))
     dataset, rows = SyntheticDataset(), np.arange(len(SCENES))
     indices = tensors.arrays.asarray(rows)
     for row, scene_id in enumerate(SCENES):

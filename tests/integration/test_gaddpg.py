@@ -88,7 +88,7 @@ class Joints(EpisodeCallback):
 
     def on_step(self, episode: Episode) -> None:
         if episode.steps % STRIDE == 1:
-            self.rows.append(episode.world.read_agent_joints().robot)
+            self.rows.append(episode.world.read_joint_snapshot().robot)
 
 
 @pytest.fixture(scope="module")

@@ -44,7 +44,7 @@ def assert_same_state(episode: Episode, expected: dict[str, np.ndarray], row: in
     pairs = {
         "robot_joint_position": seen["robot_joint_position"],
         "robot_joint_velocity": seen["robot_joint_velocity"],
-        "object_dof_position": episode.world.read_object_joints(),
+        "object_dof_position": episode.world.read_joint_snapshot().objects,
         "object_pose": seen["object_poses"][:n_objects],
         "hand_dof_position": seen["hand_dof_position"],
         "hand_link_pose": seen["gripper_pose"],

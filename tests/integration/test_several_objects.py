@@ -13,7 +13,7 @@ from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.giver_motion import NO_DEVIATION
 from handover_marl.episode.referee import EpisodeStatus, ReleaseReason
-from handover_marl.simulation.bullet.worlds import FastWorld
+from handover_marl.simulation.bullet.exact_and_fast import FastWorld
 from handover_marl.simulation.camera.images import SegmentationLabel
 from tests.integration.test_reference import SEVERAL
 
@@ -98,7 +98,7 @@ def test_fast_physics_ends_the_recordings_alike(several_objects: OfficialDataset
     assert episode.status == recorded["status"]
     # The end of a fall of a third of a second may differ by some steps.
     assert abs(episode.steps - int(recorded["steps"])) <= 10
-    exact, fast = recorded["object_dof_position"][-1], world.read_object_joints()
+    exact, fast = recorded["object_dof_position"][-1], world.read_joint_snapshot().objects
     is_still = np.abs(exact - recorded["object_dof_position"][-20])[:, :3].max(axis=1) < 1e-4
     is_still &= np.abs(exact - recorded["object_dof_position"][0])[:, :3].max(axis=1) < 1e-3
     assert is_still.any()

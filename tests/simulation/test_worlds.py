@@ -15,14 +15,14 @@ from handover_marl.config import CameraConfig, PandaConfig, PhysicsConfig, World
 from handover_marl.datasets import OfficialDataset, open_dataset
 from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.episodes import Episodes
+from handover_marl.episode.episode_batch import EpisodeBatch
 from handover_marl.episode.loop import run_episode
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError, UnknownNameError
 from handover_marl.geometry.arrays import to_numpy
 from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
 from handover_marl.policies.policy import Action
-from handover_marl.simulation.bullet.worlds import FastWorld
+from handover_marl.simulation.bullet.exact_and_fast import FastWorld
 from handover_marl.simulation.engines import (
     PHYSICS,
     THREADS,
@@ -65,7 +65,8 @@ def load_late_scene(scene_id: int, first: int) -> Scene:
 
 def read_joints(episode: Episode) -> npt.NDArray[np.float32]:
     """Return the joint positions of robot and objects."""
-    return np.concatenate([episode.world.read_agent_joints().robot, episode.world.read_object_joints().ravel()])
+    joints = episode.world.read_joint_snapshot()
+    return np.concatenate([joints.robot, joints.objects.ravel()])
 
 
 @pytest.mark.slow
@@ -115,7 +116,8 @@ def test_division_of_steps_and_images_change_nothing(physics: str, episodes: lis
                     assert episode.render(camera).std() > 10.0
                     assert episode.world.render_camera(None, True).segmentation.any()
                     episode.world.render_camera(earlier, False)
-            states.append(np.concatenate([episode.world.read_joints_float64(), *episode.world.read_object_joints()]))
+            objects = episode.world.read_joint_snapshot().objects
+            states.append(np.concatenate([episode.world.read_joints_float64(), *objects]))
         assert episode.status == EpisodeStatus.HUMAN_CONTACT
         assert episode.steps == pytest.approx(680, abs=5), "all engines find the contact"
         found.append((episode.steps, states))
@@ -199,7 +201,7 @@ State = dict[str, npt.NDArray[Any]]
 
 def advance_batch(backend: str, rows: list[int], scenes: list[Scene], count: int) -> list[State]:
     """Return the states (r, ...) of some of n episodes after each of `STEPS`; the others are in another scene."""
-    episodes = Episodes(NEAR_CONFIG, count, BatchBackend(backend))
+    episodes = EpisodeBatch(NEAR_CONFIG, count, BatchBackend(backend))
     for row in range(count):
         episodes.reset(row, scenes[rows.index(row)] if row in rows else BATCH_SCENES[0])
     everyone, own = (episodes.arrays.asarray(numbers) for numbers in (np.arange(count), np.array(rows)))

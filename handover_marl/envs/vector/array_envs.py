@@ -17,7 +17,7 @@ from handover_marl.envs.vector.reward_sums import RewardSums
 from handover_marl.envs.wrappers.control_agent import FixedPartnerEnv
 from handover_marl.envs.wrappers.encode import MAX_EPISODES_WITHOUT_OUTPUTS, EncodedEnv, make_no_outputs_error
 from handover_marl.envs.wrappers.wrapper import ByAgent, WrappableEnv, list_wrappers
-from handover_marl.episode.episodes import Episodes
+from handover_marl.episode.episode_batch import EpisodeBatch
 from handover_marl.episode.loop import derive_giver_seed, derive_receiver_seed
 from handover_marl.episode.observations import Observation, select_receiver_observation
 from handover_marl.episode.referee import EpisodeStatus
@@ -35,8 +35,8 @@ from handover_marl.simulation.engines import BatchBackend
 _NONE = -1
 
 
-class ArrayEpisodes:
-    """Simulator of episodes of one configuration on arrays, with their rewards, features and action schemes.
+class EncodedEpisodeBatch:
+    """Batch of episodes of one configuration, with their rewards, partner, features and action schemes.
 
     An episode equals an episode of a single environment with the wrappers `control_agent` and `encode`. The argument
     `rows` (r,) of methods contains the indices of the episodes to which a method applies. The attribute `arrays` makes
@@ -53,7 +53,7 @@ class ArrayEpisodes:
         self._base = base
         config = base.config
         self._agents = list(template.possible_agents)
-        self._episodes = Episodes(config.world_config, count, backend)
+        self._episodes = EpisodeBatch(config.world_config, count, backend)
         arrays = self.arrays = self._episodes.arrays
         self._rewards = RewardSums(config, self._episodes, count)
         self._cycles = arrays.zeros(count, "int64")
@@ -213,7 +213,7 @@ class ArrayEpisodes:
         return self._episodes.select_state(rows)
 
 
-class ArrayEnvs:
+class BatchedEnvGroup:
     """Environments of one configuration whose episodes are simulated together; see `batch.EnvGroup`.
 
     Environment k behaves like a single environment with the wrappers `control_agent` and `encode` that draws the same
@@ -241,7 +241,7 @@ class ArrayEnvs:
         self._load_scene = load_scene
         self._base, self._agents = template.unwrapped, list(template.possible_agents)
         self._prefetches = prefetches and isinstance(template, EncodedEnv) and len(self._agents) == 1
-        self._episodes = ArrayEpisodes(template, count * (1 + self._prefetches), backend)
+        self._episodes = EncodedEpisodeBatch(template, count * (1 + self._prefetches), backend)
         self.arrays = self._episodes.arrays
         self._rngs, self._partner_rngs = ([seeding.np_random(None)[0] for _ in range(count)] for _ in range(2))
         # Number of the current episode of each environment, and of its next one, which has started.

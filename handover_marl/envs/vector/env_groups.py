@@ -18,7 +18,7 @@ from handover_marl.execution.tasks import convert_error, pickle_by_value, unpick
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, Indices
 
 
-class SingleEnvs:
+class SequentialEnvGroup:
     """Group of `count` environments that `make` makes one by one, each simulated on its own; see `batch.EnvGroup`."""
 
     arrays = NUMPY_ARRAYS
@@ -74,7 +74,7 @@ def _stack_infos(infos: Sequence[ByAgent]) -> ByAgent:
     }
 
 
-class GroupedEnvs:
+class ThreadedEnvGroup:
     """Environments in groups that are simulated at the same time; see `batch.EnvGroup`.
 
     Args:
@@ -130,7 +130,7 @@ class GroupedEnvs:
         return merge_results(len(rows), [(indices, future.result()) for indices, future in futures])
 
 
-class ProcessEnvs:
+class ProcessEnvGroup:
     """Environments of one configuration in a process of their own; see `batch.EnvGroup`.
 
     Threads of one process run at the same time only while MuJoCo simulates; processes always do. The process starts at

@@ -15,7 +15,7 @@ from handover_marl.envs.rewards import StepData
 from handover_marl.envs.transition import Transition, TransitionRecorder
 from handover_marl.envs.vector.batch import select_rows
 from handover_marl.envs.wrappers.wrapper import REWARD_PREFIX
-from handover_marl.episode.episodes import Episodes
+from handover_marl.episode.episode_batch import EpisodeBatch
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.geometry.arrays import AnyArray, AnyIndices, to_numpy
@@ -27,7 +27,7 @@ class RewardSums:
     The field `rewards` of `config` specifies the terms.
     """
 
-    def __init__(self, config: EnvConfig, episodes: Episodes, count: int) -> None:
+    def __init__(self, config: EnvConfig, episodes: EpisodeBatch, count: int) -> None:
         self._episodes, self._count, self._arrays = episodes, count, episodes.arrays
         self._source = RewardSource(config.rewards, config.world_config.protocol.goal_center, count, episodes.arrays)
         self._recorders = [TransitionRecorder(config.control_period) for _ in range(count)]

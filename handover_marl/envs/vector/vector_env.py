@@ -13,15 +13,15 @@ from handover_marl.envs.config import EnvConfig, make_env_config
 from handover_marl.envs.custom_rewards import resolve_rewards
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.rewards import RewardWeights
-from handover_marl.envs.vector.array_envs import ArrayEnvs
+from handover_marl.envs.vector.array_envs import BatchedEnvGroup
 from handover_marl.envs.vector.batch import EnvGroup
-from handover_marl.envs.vector.env_groups import GroupedEnvs, ProcessEnvs, SingleEnvs
+from handover_marl.envs.vector.env_groups import ProcessEnvGroup, SequentialEnvGroup, ThreadedEnvGroup
 from handover_marl.envs.vector.parallel_vector_env import ParallelVectorEnv
 from handover_marl.envs.wrappers.control_agent import FixedPartnerEnv, control_agent
 from handover_marl.envs.wrappers.encode import EncodedEnv, encode
 from handover_marl.envs.wrappers.wrapper import WrappableEnv, check_env, list_wrappers
 from handover_marl.episode.spaces import FULL_POINTCLOUD, STATE, parse_obs_mode
-from handover_marl.errors import HandoverError, OptionError, check_name
+from handover_marl.errors import OptionError, check_name
 from handover_marl.execution.options import check_positive_integer, count_available_cores, forward_signature
 from handover_marl.learning.custom_encodings import FeaturesLike, SchemeLike, is_reference
 from handover_marl.policies.reference import PolicyLike
@@ -206,24 +206,25 @@ def vector_env(
     def make_single() -> WrappableEnv:
         env: WrappableEnv = HandoverEnv(chosen)
         for wrapper in wrappers:
-            env = _apply_wrapper(wrapper, env)
+            env = wrapper(env)
+            check_env(env)
         if agent is not None:
             env = control_agent(env, agent, partner, trust=trust)
         return env if features is None and action_scheme is None else encode(env, features, action_scheme)
 
     template = make_single()
-    uses_arrays = _can_use_arrays(template, backend)
-    if backend == WARP:
-        _check_device(template, uses_arrays)
+    obstacle = _find_obstacle(template, backend)
+    if obstacle and backend == WARP:
+        raise OptionError(f"environments with backend='warp' must have {obstacle}; use backend='threads'")
     # Groups share the template and the scenes; processes make their own.
     make: Callable[..., EnvGroup] = functools.partial(_make_envs, make_single, autoreset != "disabled", chosen_backend)
     if processes is not None:
-        n_groups, make = processes, functools.partial(ProcessEnvs, make)
+        n_groups, make = processes, functools.partial(ProcessEnvGroup, make)
     else:
-        n_groups = (threads or count_available_cores()) if uses_arrays and backend == THREADS else 1
+        n_groups = (threads or count_available_cores()) if backend == THREADS and not obstacle else 1
         make = functools.partial(make, template=template, load_scene=_cache_scenes(template))
     n_groups = min(n_groups, count)
-    envs = make(count) if n_groups == 1 else GroupedEnvs(make, count, n_groups)
+    envs = make(count) if n_groups == 1 else ThreadedEnvGroup(make, count, n_groups)
     both = ParallelVectorEnv(envs, template, count, AutoresetMode[autoreset.upper()])
     return both if agent is None else HandoverVectorEnv(both, template.render_mode)
 
@@ -242,82 +243,53 @@ def _make_envs(
     episode. A template and a cache of scenes are made unless they are given.
     """
     template = template or make_single()
-    if not _can_use_arrays(template, backend.name):
-        return SingleEnvs(make_single, count)
-    return ArrayEnvs(template, count, prefetches, load_scene or _cache_scenes(template), backend)
+    if _find_obstacle(template, backend.name):
+        return SequentialEnvGroup(make_single, count)
+    return BatchedEnvGroup(template, count, prefetches, load_scene or _cache_scenes(template), backend)
 
 
 def _cache_scenes(template: WrappableEnv) -> Callable[[int], Scene]:
     return functools.lru_cache(maxsize=_CACHED_SCENES)(template.unwrapped.dataset.load_scene)
 
 
-def _can_use_arrays(template: WrappableEnv, backend: str) -> bool:
-    """Return whether `ArrayEnvs` can simulate the environments together.
-
-    Arrays need MuJoCo's physics, no `render_mode`, no wrappers but `control_agent` and `encode` in this order, a
-    partner without a camera, and either no camera of the environment, or the backend "warp".
-    """
-    config = template.unwrapped.config
-    if config.physics != MUJOCO or config.render_mode is not None:
-        return False
-    if config.obs_mode != STATE and backend != WARP:
-        return False
-    wrappers = list_wrappers(template)
-    if any(isinstance(env, FixedPartnerEnv) and env.policy.obs_mode != STATE for env in wrappers):
-        return False
+def _find_obstacle(template: WrappableEnv, backend: str) -> str:
+    """Return what environments must have, but lack, to be simulated together on arrays; "" if they lack nothing."""
+    config, wrappers = template.unwrapped.config, list_wrappers(template)
     kinds = [type(env) for env in wrappers]
-    return kinds == [kind for kind in (EncodedEnv, FixedPartnerEnv) if kind in kinds]
-
-
-def _check_device(template: WrappableEnv, uses_arrays: bool) -> None:
-    """Raise OptionError unless "warp" can simulate environments; `uses_arrays` is the result of `_can_use_arrays`."""
-    config = template.unwrapped.config
-    faults = [
-        (env.policy.obs_mode != STATE, f"a partner without a camera, got {env.policy.name!r}")
-        for env in list_wrappers(template)
-        if isinstance(env, FixedPartnerEnv)
+    choices = template.choices if isinstance(template, EncodedEnv) else {}
+    scheme: Any = choices[RECEIVER][1] if RECEIVER in choices else ""
+    conditions = [
+        (config.physics == MUJOCO, f"physics='mujoco', got {config.physics!r}"),
+        (config.render_mode is None, f"render_mode=None, got {config.render_mode!r}"),
+        (
+            kinds == [kind for kind in (EncodedEnv, FixedPartnerEnv) if kind in kinds],
+            "no wrappers but control_agent, then encode",
+        ),
     ]
+    for env in wrappers:
+        if isinstance(env, FixedPartnerEnv):
+            conditions.append((env.policy.obs_mode == STATE, f"a partner without a camera, got {env.policy.name!r}"))
     if config.obs_mode != STATE:
-        choices = template.choices if isinstance(template, EncodedEnv) else {}
-        scheme: Any = choices[RECEIVER][1] if RECEIVER in choices else ""
-        has_full_clouds = FULL_POINTCLOUD in parse_obs_mode(config.obs_mode)
-        has_terms = isinstance(resolve_rewards(config.rewards), RewardWeights)
-        faults += [
-            (has_full_clouds, f"an obs_mode without {FULL_POINTCLOUD}, got {config.obs_mode!r}"),
-            (config.camera_noise is not None, f"camera_noise=None, got {config.camera_noise!r}"),
-            (config.camera_randomization is not None, "camera_randomization=None"),
-            (any(camera.period for camera in config.sensors.cameras), "cameras with period=0"),
+        conditions += [
+            (backend == WARP, f"obs_mode='state', got {config.obs_mode!r}"),
             (
-                resolve_renderer(config.renderer, config.physics) != RAYS,
+                FULL_POINTCLOUD not in parse_obs_mode(config.obs_mode),
+                f"an obs_mode without {FULL_POINTCLOUD}, got {config.obs_mode!r}",
+            ),
+            (config.camera_noise is None, f"camera_noise=None, got {config.camera_noise!r}"),
+            (config.camera_randomization is None, "camera_randomization=None"),
+            (not any(camera.period for camera in config.sensors.cameras), "cameras with period=0"),
+            (
+                resolve_renderer(config.renderer, config.physics) == RAYS,
                 f"the renderer 'rays', got {config.renderer!r}",
             ),
-            (not has_terms, f"rewards that are weights of the library's terms, got {config.rewards!r}"),
             (
-                not isinstance(scheme, str) or is_reference(scheme),
+                isinstance(resolve_rewards(config.rewards), RewardWeights),
+                f"rewards that are weights of the library's terms, got {config.rewards!r}",
+            ),
+            (
+                isinstance(scheme, str) and not is_reference(scheme),
                 f"a built-in action scheme for the receiver, got {scheme!r}",
             ),
         ]
-    for is_wrong, need in faults:
-        if is_wrong:
-            raise OptionError(f"cameras with backend='warp' need {need}; use backend='threads'")
-    if not uses_arrays:
-        raise OptionError(
-            "with backend='warp', environments must have physics='mujoco', render_mode=None and no wrappers; use "
-            "backend='threads'"
-        )
-
-
-def _apply_wrapper(wrapper: WrapperFunction, env: WrappableEnv) -> WrappableEnv:
-    """Return an environment wrapped by a user's function or class `wrapper`; raise OptionError if it fails."""
-    if not callable(wrapper):
-        raise OptionError(f"wrappers must be functions or classes that wrap an environment, got {wrapper!r}")
-    try:
-        wrapped = wrapper(env)
-    except HandoverError:
-        raise
-    except (Exception, SystemExit) as error:  # code of the user
-        raise OptionError(f"wrapper {wrapper!r} failed ({type(error).__name__}: {error})") from error
-    check_env(wrapped)
-    if wrapped.unwrapped is not env.unwrapped:
-        raise OptionError(f"wrappers must wrap the environment that they get, got another one from {wrapper!r}")
-    return wrapped
+    return next((need for is_met, need in conditions if not is_met), "")

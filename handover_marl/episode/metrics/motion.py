@@ -15,11 +15,11 @@ from handover_marl.config import HAND_DOF, TIME_STEP
 from handover_marl.episode.loop import EpisodeCallback
 from handover_marl.geometry.kinematic_tree import compute_link_trajectory, read_tree
 from handover_marl.geometry.panda import HAND_LINK
-from handover_marl.simulation.clearance_monitor import ClearanceMonitor
 from handover_marl.simulation.reference_tracking import WRIST_LINK
 
 if TYPE_CHECKING:
     from handover_marl.episode.episode import Episode
+    from handover_marl.simulation.mujoco.clearance_monitor import ClearanceMonitor
 
 Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -161,6 +161,9 @@ class TraceRecorder(EpisodeCallback):
             wrist[has_hand] = hand_frames[0][:, WRIST_LINK]
             models, (origins, rotations) = (assets.panda, assets.hand), robot_frames
             if models not in self._monitors:
+                # MuJoCo takes long to import.
+                from handover_marl.simulation.mujoco.clearance_monitor import ClearanceMonitor
+
                 self._monitors[models] = ClearanceMonitor(*models, panda)
             monitor = self._monitors[models]
             motion = robot[has_hand], hand, (origins[has_hand], rotations[has_hand]), hand_frames
@@ -189,7 +192,7 @@ class TraceRecorder(EpisodeCallback):
         )
 
     def _sample(self, episode: "Episode") -> None:
-        joints = episode.world.read_agent_joints()
+        joints = episode.world.read_joint_snapshot()
         self._robot.append(joints.robot)
         self._hand.append(joints.hand)
 

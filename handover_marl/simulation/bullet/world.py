@@ -24,7 +24,8 @@ from handover_marl.simulation.bullet.client import (
     pybullet_error,
 )
 from handover_marl.simulation.bullet.rendering import SceneRenderer
-from handover_marl.simulation.world import NO_POINTS, AgentJoints, Contacts, Points, World, WorldState
+from handover_marl.simulation.camera.images import JointSnapshot
+from handover_marl.simulation.world import NO_POINTS, Contacts, Points, World, WorldState
 
 # Period at which the window is drawn (steps).
 _WINDOW_PERIOD = 20
@@ -76,9 +77,10 @@ class BulletWorld(World):
             self._read_hand_keypoints(),
         )
 
-    def read_agent_joints(self) -> AgentJoints:
-        """Return the current joint positions of robot and human hand, float32 (rad, m); `hand` is None if absent."""
-        return AgentJoints(self._loaded_workcell.panda.read_joint_positions(), self._read_hand_joints())
+    def read_joint_snapshot(self) -> JointSnapshot:
+        """Return the current joint positions of robot (9,), hand (51,; None if absent) and objects (n, 6), float32."""
+        robot = self._loaded_workcell.panda.read_joint_positions()
+        return JointSnapshot(robot, self._read_hand_joints(), self._read_object_joints())
 
     def read_joints_float64(self) -> npt.NDArray[np.float64]:
         """Return the robot's joint positions (9,) in double precision (rad, m)."""
@@ -90,6 +92,10 @@ class BulletWorld(World):
         self._client.close()
         if self._window is not None:
             self._window.close()
+
+    @abstractmethod
+    def _read_object_joints(self) -> npt.NDArray[np.float32]:
+        """Return the joint positions (n, 6) of n objects: xyz (m), intrinsic XYZ Euler angles (rad), float32."""
 
     @abstractmethod
     def _read_object_poses(self) -> npt.NDArray[np.float32]:

@@ -1,7 +1,6 @@
-"""Simulation of many worlds in MuJoCo, in one thread. The worlds do not influence each other."""
+"""Data of worlds in MuJoCo, their simulation in batches, and forward kinematics of hands."""
 
 from collections import OrderedDict
-from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -186,8 +185,8 @@ class MujocoRollout(NamedTuple):
     step_states: Array
 
 
-class BatchSimulation:
-    """Simulation of any number of worlds in MuJoCo, in one thread."""
+class SimulationCache:
+    """MuJoCo's batches and simulations of robots, which all worlds of a thread may share."""
 
     def __init__(self) -> None:
         configure_engine()
@@ -205,24 +204,6 @@ class BatchSimulation:
         if len(self._batches) > _MAX_BATCHES:
             self._batches.popitem(last=False)
         return WorldData(scene, batch)
-
-    def simulate(
-        self, worlds: Sequence[WorldData], hands_collide: Sequence[bool], controls: Sequence[Array]
-    ) -> MujocoRollout:
-        """Simulate k physics steps of worlds whose states have equal sizes.
-
-        Args:
-            worlds: The worlds, which are set to their states after the last step.
-            hands_collide: Whether the hand can collide in these steps, for each world.
-            controls: Controls (k, c) of each world: actuator targets, mocap positions, mocap quaternions wxyz.
-        """
-        first, shape = worlds[0], (len(worlds), len(controls[0]))
-        stacked, sensordata = np.stack(controls), np.empty((*shape, len(first.sensordata)))
-        step_states = np.empty((*shape, first.step_state_size))
-        for number, (world, hand_collides) in enumerate(zip(worlds, hands_collide, strict=True)):
-            world.simulate(hand_collides, stacked[number], sensordata[number], step_states[number])
-            world.set_step(stacked[number, -1], sensordata[number, -1], step_states[number, -1])
-        return MujocoRollout(stacked, sensordata, step_states)
 
     def get_robot_simulation(self, model: RobotOnlyModel) -> RobotOnlySimulation:
         """Return the simulation of a model of the robot without human hand and objects, shared by all worlds."""

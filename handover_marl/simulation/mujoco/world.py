@@ -1,6 +1,6 @@
 """World simulated by MuJoCo, with the same bodies, motors and collision masks as in PyBullet."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -8,8 +8,10 @@ import numpy.typing as npt
 from handover_marl.config import PhysicsConfig, ProtocolConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.errors import OptionError, ResetNeededError
+from handover_marl.geometry.arrays import AnyArray, AnyIntegers, Indices
 from handover_marl.geometry.kinematic_tree import read_tree
-from handover_marl.simulation.mujoco.batch_simulation import BatchSimulation, HandKinematics, WorldData
+from handover_marl.simulation.camera.images import JointSnapshot
+from handover_marl.simulation.mujoco.batch_simulation import HandKinematics, MujocoRollout, SimulationCache, WorldData
 from handover_marl.simulation.mujoco.control import ABSENT, compute_controls, count_hand_free_steps, place_hand
 from handover_marl.simulation.mujoco.engine import bullet_xyzw_from_wxyz, chain_joints_from_poses
 from handover_marl.simulation.mujoco.models.scene_model import load_scene_model
@@ -22,22 +24,20 @@ from handover_marl.simulation.reference_tracking import (
     track_references,
 )
 from handover_marl.simulation.world import (
-    AgentJoints,
     Contacts,
     JudgeFunction,
     RolloutContacts,
-    RolloutWorld,
+    World,
     WorldState,
 )
 
 Array = npt.NDArray[np.float64]
-TruncateFunction = Callable[[int, int], None]
 
 # Steps of one rollout. Those after a release or an episode's end are discarded, so that more would waste time.
 _ROLLOUT_STEPS = 100
 
 
-class MujocoWorld(RolloutWorld):
+class MujocoWorld(World):
     """World simulated by MuJoCo, alone or in a batch with other worlds.
 
     The hand follows its reference kinematically, as in `FastWorld` of PyBullet.
@@ -49,13 +49,13 @@ class MujocoWorld(RolloutWorld):
     Args:
         config: Constants of the world.
         window: Must be False; only PyBullet opens a window.
-        simulation: Batch simulation shared with other worlds; None for a new one.
+        cache: MuJoCo's batches, shared with other worlds; None for new ones.
 
     Attributes:
         robot: Simulation of the robot without hand and objects.
         hand: Trajectory of the hand under the current reference, valid after `track_worlds`.
         hand_kinematics: Kinematics of the hand's bodies in the model.
-        sleep_state: Sleep state of the world, which `prepare` may end; None once the world is awake.
+        sleep_state: Sleep state of the world, which `prepare_worlds` may end; None once the world is awake.
         reference: Current reference motion.
         row: Last simulated row of the reference motion.
         robot_target: Nine joint targets of the robot (rad, m) for which the controls were computed; None before the
@@ -71,11 +71,11 @@ class MujocoWorld(RolloutWorld):
     hand_kinematics: HandKinematics
     reference: ReferenceMotion
 
-    def __init__(self, config: PhysicsConfig, window: bool = False, simulation: BatchSimulation | None = None) -> None:
+    def __init__(self, config: PhysicsConfig, window: bool = False, cache: SimulationCache | None = None) -> None:
         if window:
             raise OptionError('physics="mujoco" opens no window; use render_mode="rgb_array", or physics="fast"')
         super().__init__(config)
-        self._simulation = simulation or BatchSimulation()
+        self._cache = cache or SimulationCache()
         self._data: WorldData | None = None
         self.sleep_state: SleepState | None = None
 
@@ -88,9 +88,9 @@ class MujocoWorld(RolloutWorld):
 
     def reset(self, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
         """Load a scene; set hand and objects to the only row of `start`, and the robot to nine joints (rad, m)."""
-        model, simulation = load_scene_model(scene.assets, self._config), self._simulation
-        data, hand_joints = simulation.load_scene(model), start.hand[0] if start.hand_present[0] else None
-        self.robot, urdf = simulation.get_robot_simulation(model.robot_only), scene.assets.hand
+        model, cache = load_scene_model(scene.assets, self._config), self._cache
+        data, hand_joints = cache.load_scene(model), start.hand[0] if start.hand_present[0] else None
+        self.robot, urdf = cache.get_robot_simulation(model.robot_only), scene.assets.hand
         self.hand = BodyTrajectory(list_hand_motors(self._config.hand), hand_joints)
         self.sleep_state = SleepState(model, self.robot, self._config.objects, start, robot_joints)
         self.reference, self.row, self.is_tracked = start, -1, True
@@ -115,120 +115,12 @@ class MujocoWorld(RolloutWorld):
 
     def step(self, robot_target: list[float]) -> None:
         """Simulate one physics step towards nine joint targets of the Panda (rad, m)."""
-        data = self.data
-        self.prepare([self], [robot_target])
-        if self.sleep_state is None:
-            self._simulation.simulate([data], [self._can_touch_hand(1)], [self._get_coming_controls(1)])
-        self._set_row(self.row + 1)
+        prepare_worlds([self], [robot_target])
+        self.keep_steps(simulate_worlds([self], 1), 0, 1)
 
-    @classmethod
-    def rollout(
-        cls,
-        worlds: Sequence["MujocoWorld"],
-        robot_targets: Sequence[list[float]],
-        steps: int,
-        judge: JudgeFunction,
-        rules: ProtocolConfig,
-    ) -> npt.NDArray[np.int_]:
-        """Simulate n worlds for `steps` steps, or until their episodes end; return step counts (n,)."""
-        simulated, running = np.zeros(len(worlds), dtype=np.int_), np.ones(len(worlds), dtype=bool)
-        while rows := np.flatnonzero(running & (simulated < steps)).tolist():
-            # Preparing a sleeping world may wake it, which changes its key.
-            for chunk in _split([row for row in rows if worlds[row].sleep_state is not None]):
-                cls.prepare([worlds[row] for row in chunk], [robot_targets[row] for row in chunk])
-            groups: dict[object, list[int]] = {}
-            for row in rows:
-                groups.setdefault(worlds[row].rollout_key, []).append(row)
-            for chunk in (part for group in groups.values() for part in _split(group)):
-                own, indices = [worlds[row] for row in chunk], np.array(chunk)
-                limit = min(
-                    _ROLLOUT_STEPS, steps - int(simulated[indices].max()), *(one.remaining_steps for one in own)
-                )
-                contacts, truncate = cls.simulate(own, [robot_targets[row] for row in chunk], limit, rules)
-                end = judge(indices, contacts)
-                for number in np.flatnonzero(end.steps < limit).tolist():
-                    truncate(number, int(end.steps[number]))
-                for number in np.flatnonzero(end.released).tolist():
-                    own[number].release_target()
-                simulated[indices] += end.steps
-                running[indices] = ~end.ended
-        return simulated
-
-    @classmethod
-    def prepare(cls, worlds: Sequence["MujocoWorld"], robot_targets: Sequence[list[float]]) -> None:
-        """Prepare worlds for their next step; compute the controls of their remaining steps if targets have changed.
-
-        Pending releases become effective, and sleeping worlds wake if a body comes near the robot.
-
-        Args:
-            worlds: Worlds with a scene.
-            robot_targets: Nine joint targets of each robot (rad, m).
-        """
-        track_worlds(worlds)
-        _update_sleep(worlds, robot_targets)
-        groups: dict[tuple[int, ...], list[tuple[MujocoWorld, list[float]]]] = {}
-        for world, target in zip(worlds, robot_targets, strict=True):
-            if world.sleep_state is None and world.robot_target != target:
-                world.robot_target, world.controls_row = target, world.row + 1
-                model = world.data.scene.model
-                # Models with equally many objects, actuators and mocap bodies have them in the same places.
-                steps, objects = world.reference.objects.shape[:2]
-                key = (steps - world.controls_row, objects, model.nu, model.nmocap)
-                groups.setdefault(key, []).append((world, target))
-        for group in groups.values():
-            own, data = [world for world, _ in group], [world.data for world, _ in group]
-            targets = np.array([target for _, target in group])
-            controls = compute_controls(
-                data, targets, np.stack([one.reference.objects[one.controls_row :] for one in own])
-            )
-            wrists = np.array([one.hand.predict_positions(one.controls_row) for one in own])
-            free_steps = count_hand_free_steps(data, [one.robot for one in own], targets, wrists).tolist()
-            for number, (world, free) in enumerate(zip(own, free_steps, strict=True)):
-                world.controls = controls[number]
-                _, *poses = world.data.split_controls(world.controls)
-                hand_poses = (array[:, world.data.scene.hand] for array in poses)
-                world.hand_free_steps = place_hand(world.hand, world.row, world.hand_kinematics, free, *hand_poses)
-
-    @classmethod
-    def simulate(
-        cls, worlds: Sequence["MujocoWorld"], robot_targets: Sequence[list[float]], steps: int, rules: ProtocolConfig
-    ) -> tuple[RolloutContacts, TruncateFunction]:
-        """Simulate several steps of n worlds with the same `rollout_key`, at most the `remaining_steps` of any.
-
-        Args:
-            worlds: Worlds with a scene.
-            robot_targets: Nine joint targets of each robot (rad, m).
-            steps: Number of physics steps.
-            rules: Bounds of the grasp region of the fingers.
-
-        Returns:
-            The contacts in these steps, and a function `truncate(number, steps)` that sets the world with index
-            `number` back to its state after `steps` of them (1 or more).
-        """
-        cls.prepare(worlds, robot_targets)
-        first = worlds[0]
-        if first.sleep_state is not None:
-            rollout, contacts = None, RolloutContacts.without_contacts(steps, len(worlds))
-        else:
-            rollout = first._simulation.simulate(
-                [world.data for world in worlds],
-                [world._can_touch_hand(steps) for world in worlds],
-                [world._get_coming_controls(steps) for world in worlds],
-            )
-            # The state starts with the time.
-            qpos = rollout.step_states[..., 1 : 1 + len(first.data.qpos)].swapaxes(0, 1)
-            sensors = first.data.scene.contact_sensors
-            contacts = sensors.compute_rollout_contacts(rollout.sensordata.swapaxes(0, 1), qpos, rules)
-        for world in worlds:
-            world._set_row(world.row + steps)
-
-        def truncate(number: int, n_kept: int) -> None:
-            world = worlds[number]
-            if rollout is not None:
-                world.data.set_step(*(array[number, n_kept - 1] for array in rollout))
-            world._set_row(world.row + n_kept - steps)
-
-        return contacts, truncate
+    def rollout(self, robot_target: list[float], steps: int, judge: JudgeFunction, rules: ProtocolConfig) -> int:
+        """Simulate up to `steps` physics steps in one call; return their number."""
+        return int(rollout_worlds([self], [robot_target], steps, judge, rules)[0])
 
     @property
     def rollout_key(self) -> tuple[int, ...]:
@@ -240,7 +132,7 @@ class MujocoWorld(RolloutWorld):
 
     @property
     def remaining_steps(self) -> int:
-        """Largest number of steps that can be simulated at once, valid for a sleeping world after `prepare`."""
+        """Largest number of steps that can be simulated at once, valid for a sleeping world after `prepare_worlds`."""
         left = len(self.reference.objects) - (self.row + 1)
         return left if self.sleep_state is None else min(left, self.sleep_state.count_free_steps(self.row + 1))
 
@@ -287,33 +179,30 @@ class MujocoWorld(RolloutWorld):
             None if keypoints is None else keypoints.astype(np.float32),
         )
 
-    def read_agent_joints(self) -> AgentJoints:
-        """Return the current joint positions of robot and human hand, float32 (rad, m); `hand` is None if absent."""
-        robot, hand = self.read_joints_float64(), self._get_hand_joints()
-        return AgentJoints(robot.astype(np.float32), None if hand is None else hand.astype(np.float32))
-
     def read_joints_float64(self) -> Array:
         """Return the robot's joint positions (9,) in double precision (rad, m)."""
         self._set_state()
         joints: Array = self.data.qpos[self.data.scene.robot_qpos].copy()
         return joints
 
-    def read_object_joints(self) -> npt.NDArray[np.float32]:
-        """Return the joint positions (n, 6) of n objects: xyz (m), intrinsic XYZ Euler angles (rad), float32."""
-        self._set_state()
+    def read_joint_snapshot(self) -> JointSnapshot:
+        """Return the current joint positions of robot (9,), hand (51,; None if absent) and objects (n, 6), float32."""
+        robot, hand = self.read_joints_float64().astype(np.float32), self._get_hand_joints()
         poses = self.data.qpos[self.data.scene.object_qpos].reshape(-1, 7)
         self._object_joints = chain_joints_from_poses(poses, self._object_joints)
-        joints: npt.NDArray[np.float32] = self._object_joints.astype(np.float32)
-        return joints
+        objects = self._object_joints.astype(np.float32)
+        return JointSnapshot(robot, None if hand is None else hand.astype(np.float32), objects)
 
     def close(self) -> None:
         """Free the memory of the simulation."""
         super().close()
         self._data = self.sleep_state = None
 
-    def _set_row(self, row: int) -> None:
-        """Set the last simulated row of the reference motion."""
-        self.row, self._is_state_set = row, self.sleep_state is None
+    def keep_steps(self, rollout: MujocoRollout | None, number: int, steps: int) -> None:
+        """Set the world, which has index `number` in a rollout, to its state after `steps` (1 or more) of its steps."""
+        if rollout is not None:
+            self.data.set_step(*(array[number, steps - 1] for array in rollout))
+        self.row, self._is_state_set = self.row + steps, self.sleep_state is None
 
     def _set_state(self) -> None:
         """Write the joint state of a sleeping world to `data`, which steps of a sleeping world do not update."""
@@ -326,19 +215,14 @@ class MujocoWorld(RolloutWorld):
         track_worlds([self])
         return self.hand.get_joints(self.row) if self.hand.is_present_after(self.row) else None
 
-    def _get_coming_controls(self, steps: int) -> Array:
+    def get_coming_controls(self, steps: int) -> Array:
         """Return the computed controls (steps, c) of the next `steps` steps."""
         first = self.row + 1 - self.controls_row
         return self.controls[first : first + steps]
 
-    def _can_touch_hand(self, steps: int) -> bool:
+    def can_touch_hand(self, steps: int) -> bool:
         """Return whether the hand can touch the robot within the next `steps` steps."""
         return self.row + 1 - self.controls_row + steps > self.hand_free_steps
-
-
-def _split(numbers: list[int]) -> list[list[int]]:
-    """Split the numbers of worlds into lists of at most 32, the most that one call simulates."""
-    return [numbers[first : first + MAX_WORLDS] for first in range(0, len(numbers), MAX_WORLDS)]
 
 
 def track_worlds(worlds: Sequence[MujocoWorld]) -> None:
@@ -375,3 +259,169 @@ def _update_sleep(worlds: Sequence[MujocoWorld], robot_targets: Sequence[list[fl
     for world in worlds:
         if world.sleep_state is not None and not world.sleep_state.count_free_steps(world.row + 1):
             world.wake()
+
+
+def prepare_worlds(worlds: Sequence[MujocoWorld], robot_targets: Sequence[list[float]]) -> None:
+    """Prepare worlds for their next step; compute the controls of their remaining steps if targets have changed.
+
+    Pending releases become effective, and sleeping worlds wake if a body comes near the robot.
+
+    Args:
+        worlds: Worlds with a scene.
+        robot_targets: Nine joint targets of each robot (rad, m).
+    """
+    track_worlds(worlds)
+    _update_sleep(worlds, robot_targets)
+    groups: dict[tuple[int, ...], list[tuple[MujocoWorld, list[float]]]] = {}
+    for world, target in zip(worlds, robot_targets, strict=True):
+        if world.sleep_state is None and world.robot_target != target:
+            world.robot_target, world.controls_row = target, world.row + 1
+            model = world.data.scene.model
+            # Models with equally many objects, actuators and mocap bodies have them in the same places.
+            steps, objects = world.reference.objects.shape[:2]
+            key = (steps - world.controls_row, objects, model.nu, model.nmocap)
+            groups.setdefault(key, []).append((world, target))
+    for group in groups.values():
+        own, data = [world for world, _ in group], [world.data for world, _ in group]
+        targets = np.array([target for _, target in group])
+        controls = compute_controls(data, targets, np.stack([one.reference.objects[one.controls_row :] for one in own]))
+        wrists = np.array([one.hand.predict_positions(one.controls_row) for one in own])
+        free_steps = count_hand_free_steps(data, [one.robot for one in own], targets, wrists).tolist()
+        for number, (world, free) in enumerate(zip(own, free_steps, strict=True)):
+            world.controls = controls[number]
+            _, *poses = world.data.split_controls(world.controls)
+            hand_poses = (array[:, world.data.scene.hand] for array in poses)
+            world.hand_free_steps = place_hand(world.hand, world.row, world.hand_kinematics, free, *hand_poses)
+
+
+def simulate_worlds(worlds: Sequence[MujocoWorld], steps: int) -> MujocoRollout | None:
+    """Simulate the next steps of prepared worlds with the same `rollout_key`, at most the `remaining_steps` of any.
+
+    The worlds keep their states until `MujocoWorld.keep_steps`. The rollout of sleeping worlds is None.
+    """
+    if worlds[0].sleep_state is not None:
+        return None
+    data, controls = worlds[0].data, np.stack([world.get_coming_controls(steps) for world in worlds])
+    sensordata = np.empty((*controls.shape[:2], len(data.sensordata)))
+    step_states = np.empty((*controls.shape[:2], data.step_state_size))
+    for number, world in enumerate(worlds):
+        world.data.simulate(world.can_touch_hand(steps), controls[number], sensordata[number], step_states[number])
+    return MujocoRollout(controls, sensordata, step_states)
+
+
+def _split(numbers: list[int]) -> list[list[int]]:
+    """Split the numbers of worlds into lists of at most 32, the most that one call simulates."""
+    return [numbers[first : first + MAX_WORLDS] for first in range(0, len(numbers), MAX_WORLDS)]
+
+
+def rollout_worlds(
+    worlds: Sequence[MujocoWorld],
+    robot_targets: Sequence[list[float]],
+    steps: int,
+    judge: JudgeFunction,
+    rules: ProtocolConfig,
+) -> npt.NDArray[np.int_]:
+    """Simulate n worlds for `steps` steps, or until their episodes end; return step counts (n,).
+
+    The worlds must have reference motions. `robot_targets` has nine joint targets (rad, m; float32 values) for each
+    world. `judge` and `rules` are as in `MujocoWorldBatch.rollout`.
+    """
+    simulated, running = np.zeros(len(worlds), dtype=np.int_), np.ones(len(worlds), dtype=bool)
+    while rows := np.flatnonzero(running & (simulated < steps)).tolist():
+        # Preparing a sleeping world may wake it, which changes its key.
+        for chunk in _split([row for row in rows if worlds[row].sleep_state is not None]):
+            prepare_worlds([worlds[row] for row in chunk], [robot_targets[row] for row in chunk])
+        groups: dict[object, list[int]] = {}
+        for row in rows:
+            groups.setdefault(worlds[row].rollout_key, []).append(row)
+        for chunk in (part for group in groups.values() for part in _split(group)):
+            own, indices = [worlds[row] for row in chunk], np.array(chunk)
+            limit = min(_ROLLOUT_STEPS, steps - int(simulated[indices].max()), *(one.remaining_steps for one in own))
+            prepare_worlds(own, [robot_targets[row] for row in chunk])
+            rollout = simulate_worlds(own, limit)
+            if rollout is None:
+                contacts = RolloutContacts.without_contacts(limit, len(own))
+            else:
+                # The state starts with the time.
+                qpos = rollout.step_states[..., 1 : 1 + len(own[0].data.qpos)].swapaxes(0, 1)
+                sensors = own[0].data.scene.contact_sensors
+                contacts = sensors.compute_rollout_contacts(rollout.sensordata.swapaxes(0, 1), qpos, rules)
+            end = judge(indices, contacts)
+            for number, (world, n_kept) in enumerate(zip(own, end.steps.tolist(), strict=True)):
+                world.keep_steps(rollout, number, n_kept)
+                if end.released[number]:
+                    world.release_target()
+            simulated[indices] += end.steps
+            running[indices] = ~end.ended
+    return simulated
+
+
+class MujocoWorldBatch:
+    """Batch of n worlds that MuJoCo simulates together in one thread, with NumPy arrays.
+
+    Methods apply to the r worlds whose indices are in their argument `rows` (r,); other arrays have r rows.
+
+    Args:
+        config: Constants of the worlds.
+        count: Number n of worlds.
+    """
+
+    def __init__(self, config: PhysicsConfig, count: int) -> None:
+        cache = SimulationCache()
+        self._worlds = [MujocoWorld(config, cache=cache) for _ in range(count)]
+        self._n_objects = [0] * count
+
+    def reset(self, row: int, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
+        """Load a scene into the world with index `row`, and set all bodies to their start; see `World.reset`."""
+        self._worlds[row].reset(scene, start, robot_joints)
+        self._n_objects[row] = start.objects.shape[1]
+
+    def rollout(
+        self,
+        rows: Indices,
+        reference: ReferenceMotion,
+        robot_targets: AnyArray,
+        judge: JudgeFunction,
+        rules: ProtocolConfig,
+    ) -> AnyIntegers:
+        """Simulate r worlds for all steps of a reference motion, or until their episodes end.
+
+        Args:
+            rows: Indices (r,) of worlds of running episodes.
+            reference: Joint targets of hands and objects of these worlds in k steps.
+            robot_targets: Joint targets (r, 9) of the Pandas (rad, m).
+            judge: Function that applies the rules of release and end to the contacts of some of the r worlds.
+            rules: Bounds of the grasp region of the fingers.
+
+        Returns:
+            Number (r,) of simulated steps of each world.
+        """
+        worlds = [self._worlds[row] for row in rows.tolist()]
+        for number, row in enumerate(rows.tolist()):
+            worlds[number].set_reference(reference.select(number, self._n_objects[row]))
+        return rollout_worlds(worlds, robot_targets.tolist(), reference.hand.shape[1], judge, rules)
+
+    def release_targets(self, rows: Indices) -> None:
+        """Release the target objects of the worlds `rows` (r,) from the human hands before the next step."""
+        for row in rows.tolist():
+            self._worlds[row].release_target()
+
+    def read_state(self, rows: Indices) -> WorldState:
+        """Return the states (r, ...) of the worlds `rows` (r,)."""
+        states = [self._worlds[row].read_state() for row in rows.tolist()]
+        return WorldState(*map(np.stack, zip(*states, strict=True)))
+
+    def are_grasped(self, rows: Indices) -> AnyArray:
+        """Return a mask (r,) of the worlds `rows` whose fingers both touched the target object in the last step."""
+        return np.array(
+            [self._worlds[row].read_contacts(False).both_fingers_touch for row in rows.tolist()], dtype=bool
+        )
+
+    def read_contacts(self, row: int, released: bool) -> Contacts:
+        """Return the contacts of world `row` in its last step, as `World.read_contacts` does."""
+        return self._worlds[row].read_contacts(released)
+
+    def close(self) -> None:
+        """Free the memory of all worlds."""
+        for world in self._worlds:
+            world.close()

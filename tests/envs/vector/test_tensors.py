@@ -20,14 +20,13 @@ from handover_marl.datasets.dataset import Scene
 from handover_marl.envs.custom_rewards import combine_rewards
 from handover_marl.envs.transition import Transition
 from handover_marl.envs.vector.batch import check_action_array
-from handover_marl.episode import episodes
+from handover_marl.episode import episode_batch
 from handover_marl.errors import ActionError
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, make_tensor_factory, to_numpy
 from handover_marl.geometry.panda import WAITING_JOINTS
-from handover_marl.simulation.engines import BatchBackend, make_worlds
+from handover_marl.simulation.engines import BatchBackend, make_world_batch
 from handover_marl.simulation.reference_tracking import ReferenceMotion
 from handover_marl.simulation.world import Contacts, JudgeFunction, RolloutContacts, RolloutEnd, WorldState
-from handover_marl.simulation.worlds import Worlds
 from tests.helpers.fake_device import DEVICE, DeviceTensor, FakeDevice
 from tests.learning.custom import move_first_joint, offset_to_object
 
@@ -39,11 +38,11 @@ SHORT: dict[str, Any] = {**OPTIONS, "max_cycles": 6, "control_period": 0.1}
 ENCODED: dict[str, Any] = {**OPTIONS, "control_period": 0.5}
 
 
-class TensorWorlds(Worlds):
-    """Worlds that take and return tensors on a device; arguments as for `make_worlds`."""
+class TensorWorlds:
+    """Worlds that take and return tensors on a device; arguments as for `make_world_batch`."""
 
     def __init__(self, config: PhysicsConfig, count: int, backend: BatchBackend, arrays: ArrayFactory) -> None:
-        self._worlds, self._arrays = make_worlds(config, count, backend, NUMPY_ARRAYS), arrays
+        self._worlds, self._arrays = make_world_batch(config, count, backend, NUMPY_ARRAYS), arrays
 
     def reset(self, row: int, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
         assert type(row) is int
@@ -119,8 +118,8 @@ def on_device(monkeypatch: pytest.MonkeyPatch) -> Iterator[ArrayFactory]:
     """Make vector environments simulate tensors on a device."""
     with FakeDevice(), monkeypatch.context() as patch:
         arrays = make_tensor_factory(DEVICE.type)
-        patch.setattr(episodes, "make_worlds", TensorWorlds)
-        patch.setattr(episodes, "NUMPY_ARRAYS", arrays)
+        patch.setattr(episode_batch, "make_world_batch", TensorWorlds)
+        patch.setattr(episode_batch, "NUMPY_ARRAYS", arrays)
         yield arrays
 
 

@@ -2,8 +2,6 @@
 
 import copy
 import multiprocessing
-import os
-import pickle
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -13,7 +11,7 @@ import pytest
 
 import handover_marl
 from handover_marl.config import WorldConfig
-from handover_marl.envs.vector.array_envs import ArrayEpisodes
+from handover_marl.envs.vector.array_envs import EncodedEpisodeBatch
 from handover_marl.envs.vector.vector_env import HandoverVectorEnv
 from handover_marl.envs.wrappers.control_agent import control_agent
 from handover_marl.envs.wrappers.wrapper import SingleAgentEnv
@@ -23,7 +21,6 @@ from handover_marl.errors import (
     OptionError,
     PolicyError,
     ResetNeededError,
-    SimulationError,
     UnknownNameError,
     WorkerError,
 )
@@ -208,8 +205,8 @@ def test_the_next_episode_is_the_one_that_a_single_environment_draws() -> None:
 def test_cameras_have_the_seeds_of_single_environments(monkeypatch: pytest.MonkeyPatch) -> None:
     """A next episode that was started in advance and is not used takes no seed of the camera."""
     found, expected = [], []
-    start, seed_camera = ArrayEpisodes.start, Episode.seed_camera
-    monkeypatch.setattr(ArrayEpisodes, "start", lambda *values: (found.append(values[-1]), start(*values)))
+    start, seed_camera = EncodedEpisodeBatch.start, Episode.seed_camera
+    monkeypatch.setattr(EncodedEpisodeBatch, "start", lambda *values: (found.append(values[-1]), start(*values)))
     monkeypatch.setattr(Episode, "seed_camera", lambda self, seed: (expected.append(seed), seed_camera(self, seed)))
     options = {**OPTIONS, "control_period": 0.2}
     together = handover_marl.vector_env(
@@ -376,37 +373,3 @@ def test_malformed_resets_change_nothing(three: HandoverVectorEnv, arguments: di
     three.step(STILL)[0].clear()
     after, *_ = three.step(STILL)
     np.testing.assert_allclose(after["time"], 0.2, atol=1e-6)
-
-
-def test_vector_environments_cannot_be_copied(three: HandoverVectorEnv) -> None:
-    with pytest.raises(OptionError, match="make another one"):
-        pickle.dumps(three)
-
-
-def test_two_threads_at_once_are_refused(three: HandoverVectorEnv, monkeypatch: pytest.MonkeyPatch) -> None:
-    three.reset(seed=1)
-    envs = three._envs._envs
-    simulate = envs.step
-
-    def step_twice(rows: Any, actions: Any) -> Any:
-        for call in (lambda: three.step(STILL), lambda: three.reset(seed=1)):
-            with pytest.raises(SimulationError, match="another thread is using the vector environment"):
-                call()
-        return simulate(rows, actions)
-
-    monkeypatch.setattr(envs, "step", step_twice)
-    after, *_ = three.step(STILL)
-    np.testing.assert_allclose(after["time"], 0.1, atol=1e-6)
-
-
-@pytest.mark.filterwarnings("ignore:This process")
-def test_an_environment_of_the_parent_process_is_refused_after_a_fork(three: HandoverVectorEnv) -> None:
-    three.reset(seed=0)
-    process = os.fork()
-    if process == 0:
-        try:
-            three.step(STILL)
-        except ResetNeededError:
-            os._exit(7)
-        os._exit(1)
-    assert os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]) == 7

@@ -22,9 +22,9 @@ from handover_marl.episode.metrics.motion import (
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.geometry.kinematic_tree import compute_link_trajectory
 from handover_marl.receivers import make
-from handover_marl.simulation.clearance_monitor import ClearanceMonitor
-from handover_marl.simulation.mujoco.robot_hand_distance import RobotHandDistance
-from handover_marl.simulation.world import AgentJoints, Contacts
+from handover_marl.simulation.camera.images import JointSnapshot
+from handover_marl.simulation.mujoco.clearance_monitor import ClearanceMonitor
+from handover_marl.simulation.world import Contacts
 from tests.helpers.playing import StepRecorder, play
 
 PERIOD = SAMPLE_STEPS * TIME_STEP
@@ -275,7 +275,7 @@ def test_no_time_is_missed_by_the_bounds() -> None:
     """The minimum distance and margin of a motion equal the minima of the distances measured at every sample."""
     scene, rng = SyntheticDataset().load_scene(209), np.random.default_rng(0)
     models = scene.assets.panda, scene.assets.hand, OFFICIAL_CONFIG.physics.panda
-    meter, distance = ClearanceMonitor(*models), RobotHandDistance(*models)
+    monitor = ClearanceMonitor(*models)
     lower = np.array([-2.9, -1.8, -2.9, -3.1, -2.9, 0.0, -2.9])
     upper = np.array([2.9, 1.8, 2.9, 0.0, 2.9, 3.7, 2.9])
     for middle in ([0.61, -0.5, 0.95], [0.4, 0.1, 1.2], [0.61, -0.2, 1.25], [0.61, -0.75, 0.95]):
@@ -285,16 +285,14 @@ def test_no_time_is_missed_by_the_bounds() -> None:
         hand = hand.astype(np.float64)
         hand[:, :3] = rng.normal(middle, 0.2, (33, 3))
         hand[:, 3:6] = rng.uniform(-np.pi, np.pi, (33, 3))
-        measured = [
-            max(0.0, distance.measure(row.tolist(), dof.tolist(), 3.0)) for row, dof in zip(robot, hand, strict=True)
-        ]
+        measured = [max(0.0, monitor.measure(row, dof, 3.0)) for row, dof in zip(robot, hand, strict=True)]
         for chosen in (slice(None), slice(0, 5), slice(5, 20), np.argsort(measured)[3:]):
             frames = robot_frames(robot[chosen]), compute_link_trajectory(scene.assets.hand, hand[chosen])
-            found = meter.compute_min_margin(robot[chosen], hand[chosen], *frames)
+            found = monitor.compute_min_margin(robot[chosen], hand[chosen], *frames)
             distances = np.array(measured)[chosen]
             assert found == pytest.approx(np.min(distances), abs=1e-4)
             required = rng.uniform(0.0, 0.3, len(distances))
-            margin = meter.compute_min_margin(robot[chosen], hand[chosen], *frames, required)
+            margin = monitor.compute_min_margin(robot[chosen], hand[chosen], *frames, required)
             assert margin == pytest.approx(np.min(distances - required), abs=1e-4)
 
 
@@ -329,8 +327,8 @@ class PushedEpisode:
     def world(self) -> "PushedEpisode":
         return self
 
-    def read_agent_joints(self) -> AgentJoints:
-        return AgentJoints(np.zeros(9, dtype=np.float32), None)
+    def read_joint_snapshot(self) -> JointSnapshot:
+        return JointSnapshot(np.zeros(9, dtype=np.float32), None, np.zeros((1, 6), dtype=np.float32))
 
 
 def test_the_impulse_on_the_object_ends_with_the_release() -> None:

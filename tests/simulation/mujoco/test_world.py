@@ -18,7 +18,7 @@ from handover_marl.errors import SimulationError
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.model_files.urdf import read_urdf_links
 from handover_marl.geometry.panda import FINGER_LINKS, WAITING_JOINTS
-from handover_marl.simulation.bullet.worlds import FastWorld
+from handover_marl.simulation.bullet.exact_and_fast import FastWorld
 from handover_marl.simulation.mujoco.engine import check_warnings
 from handover_marl.simulation.mujoco.models.scene_model import SceneModel, load_scene_model
 from handover_marl.simulation.mujoco.world import MujocoWorld
@@ -101,7 +101,7 @@ def test_released_objects_fall_onto_the_table() -> None:
     assert not supported[50]
     assert supported[-1]
     assert 0.92 < heights[-1] < held
-    np.testing.assert_allclose(world.read_object_joints()[1:, :3], place[0, 1:, :3], atol=1e-3)
+    np.testing.assert_allclose(world.read_joint_snapshot().objects[1:, :3], place[0, 1:, :3], atol=1e-3)
 
 
 @pytest.mark.parametrize("what", ["qpos", "target"])
@@ -145,7 +145,7 @@ def test_sleeping_worlds_move_as_awake_ones() -> None:
                 break
             stages.add(own.sleep_state is not None)
             # Tolerances (m, then rad) are the errors with which MuJoCo's actuators follow the reference.
-            ways = own.read_object_joints() - other.read_object_joints()
+            ways = own.read_joint_snapshot().objects - other.read_joint_snapshot().objects
             assert np.abs(ways[:, :3]).max() < 2e-4
             assert np.abs(ways[:, 3:]).max() < 3e-3
             np.testing.assert_allclose(own.read_joints_float64(), other.read_joints_float64(), atol=1e-6)
@@ -161,15 +161,15 @@ def test_woken_objects_keep_their_velocity() -> None:
     episode, world = start()
     while np.abs(world.data.qvel[world.data.scene.object_qvel]).max() == 0.0:
         episode.advance(START, 50)
-        before = world.read_object_joints()[0]
+        before = world.read_joint_snapshot().objects[0]
         episode.advance(START, 1)
-        if np.abs(world.read_object_joints()[0] - before)[:3].max() > 2e-4:
+        if np.abs(world.read_joint_snapshot().objects[0] - before)[:3].max() > 2e-4:
             world.wake()
     speeds = world.data.qvel[world.data.scene.object_qvel][:3]
     assert np.linalg.norm(speeds) > 0.2
-    now = world.read_object_joints()[0, :3]
+    now = world.read_joint_snapshot().objects[0, :3]
     episode.advance(START, 1)
-    np.testing.assert_allclose((world.read_object_joints()[0, :3] - now) / 0.001, speeds, atol=0.02)
+    np.testing.assert_allclose((world.read_joint_snapshot().objects[0, :3] - now) / 0.001, speeds, atol=0.02)
 
 
 @pytest.fixture(scope="module")

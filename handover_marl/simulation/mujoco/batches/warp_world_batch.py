@@ -18,7 +18,6 @@ from handover_marl.simulation.mujoco.control import ABSENT
 from handover_marl.simulation.mujoco.engine import WXYZ, bullet_xyzw_from_wxyz, configure_engine
 from handover_marl.simulation.reference_tracking import ReferenceMotion, list_hand_motors, select_keypoint_links
 from handover_marl.simulation.world import Contacts, JudgeFunction, WorldState
-from handover_marl.simulation.worlds import Worlds
 
 
 class DeviceHands:
@@ -103,8 +102,8 @@ class DeviceHands:
 _CHUNK_STEPS = 25
 
 
-class WarpWorlds(Worlds):
-    """Worlds of n episodes, simulated together by MuJoCo Warp.
+class WarpWorldBatch:
+    """Batch of n worlds that MuJoCo Warp simulates together; see `MujocoWorldBatch` for the methods.
 
     Worlds whose models have different layouts are in different groups, which are simulated one after another.
 

@@ -74,10 +74,6 @@ class ExactWorld(BulletWorld):
         hand = () if self._hand is None else (self._hand.id,)
         return self._read_contacts(hand, self._objects[0], {body.id for body in self._objects[1:]}, released)
 
-    def read_object_joints(self) -> npt.NDArray[np.float32]:
-        """Return the joint positions (n, 6) of n objects: xyz (m), intrinsic XYZ Euler angles (rad), float32."""
-        return np.stack([body.read_joint_positions() for body in self._objects])
-
     def render_camera(self, snapshot: JointSnapshot | None, color: bool, camera: Pinhole = WRIST_CAMERA) -> CameraImage:
         """Render an image of a camera for a snapshot, None for the current state; `color` adds colours."""
         if snapshot is not None:
@@ -91,6 +87,9 @@ class ExactWorld(BulletWorld):
             self._hand = None
         elif target is not None and self._hand is None and self._scene is not None:
             self._hand = HandBody(self._client, self._scene.assets.hand, target, self._config.hand)
+
+    def _read_object_joints(self) -> npt.NDArray[np.float32]:
+        return np.stack([body.read_joint_positions() for body in self._objects])
 
     def _read_object_poses(self) -> npt.NDArray[np.float32]:
         return np.stack([body.read_pose() for body in self._objects])
@@ -186,10 +185,6 @@ class FastWorld(BulletWorld):
             return _NO_CONTACTS
         return self._read_contacts(hand, target, awake, released)
 
-    def read_object_joints(self) -> npt.NDArray[np.float32]:
-        """Return the joint positions (n, 6) of n objects: xyz (m), intrinsic XYZ Euler angles (rad), float32."""
-        return np.stack([item.read_joints(self._row) for item in self._objects])
-
     def _reset_broad_phase(self, panda: PandaBody) -> None:
         """Reset Bullet's broad phase to the state of a new client, independent of earlier episodes.
 
@@ -230,6 +225,9 @@ class FastWorld(BulletWorld):
         if self._objects[0].body is not None:
             self._objects[0].body.release()
         self._release_pending = False
+
+    def _read_object_joints(self) -> npt.NDArray[np.float32]:
+        return np.stack([item.read_joints(self._row) for item in self._objects])
 
     def _read_object_poses(self) -> npt.NDArray[np.float32]:
         poses = np.empty((len(self._objects), 7), dtype=np.float32)

@@ -2,12 +2,16 @@
 
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import PandaConfig
-from handover_marl.geometry.kinematic_tree import BoundingSphere
+from handover_marl.config import PandaConfig, PhysicsConfig
+from handover_marl.geometry.kinematic_tree import BoundingSphere, read_tree
 from handover_marl.geometry.poses import IDENTITY, transform_points
+from handover_marl.simulation.mujoco.batch_simulation import HandKinematics
+from handover_marl.simulation.mujoco.models.collision_shapes import compute_bounding_spheres
+from handover_marl.simulation.mujoco.models.scene_spec import SceneModelBuilder
 
 Array = npt.NDArray[np.float64]
 
@@ -28,11 +32,21 @@ class ClearanceMonitor:
     """
 
     def __init__(self, panda_urdf: Path, hand_urdf: Path, config: PandaConfig) -> None:
-        # MuJoCo takes long to import.
-        from handover_marl.simulation.mujoco.robot_hand_distance import RobotHandDistance
-
-        self._distance = RobotHandDistance(panda_urdf, hand_urdf, config)
         self._world_from_panda = np.array([*config.base_position, *config.base_orientation])
+        # Bounding spheres of the links with collision shapes, by link number; -1 is the base.
+        self._robot_spheres, self._hand_spheres = (
+            compute_bounding_spheres(urdf, read_tree(urdf)) for urdf in (panda_urdf, hand_urdf)
+        )
+        built = SceneModelBuilder(PhysicsConfig(panda=config))
+        built.add_robot(panda_urdf)
+        built.add_hand(hand_urdf)
+        self._model = model = built.spec.compile()
+        self._data = mujoco.MjData(model)
+        self._hand = HandKinematics(hand_urdf, built.hand_links)
+        is_hand = model.body_mocapid[model.geom_bodyid] >= 0
+        self._pairs = np.array([(a, b) for a in np.flatnonzero(~is_hand) for b in np.flatnonzero(is_hand)])
+        # Sum of the collision margins of both shapes of each pair (m).
+        self._margins = model.geom_margin[self._pairs].sum(axis=1)
 
     def compute_min_margin(
         self,
@@ -55,8 +69,8 @@ class ClearanceMonitor:
         """
         needed = np.zeros(len(robot)) if required is None else required
         spheres = [
-            _MovingSpheres(self._distance.robot_spheres, robot_frames, self._world_from_panda),
-            _MovingSpheres(self._distance.hand_spheres, hand_frames, IDENTITY),
+            _MovingSpheres(self._robot_spheres, robot_frames, self._world_from_panda),
+            _MovingSpheres(self._hand_spheres, hand_frames, IDENTITY),
         ]
         bounds = _bound_distances(*spheres) - needed
         smallest, left = _MAX_DISTANCE, np.arange(len(bounds))
@@ -64,13 +78,37 @@ class ClearanceMonitor:
             time = int(left[bounds[left].argmin()])
             # Larger distances at that time do not change the result.
             limit = smallest + float(needed[time])
-            found = max(0.0, self._distance.measure(robot[time].tolist(), hand[time].tolist(), limit))
+            found = max(0.0, self.measure(robot[time], hand[time], limit))
             smallest = min(smallest, found - float(needed[time]))
             left = left[(bounds[left] < smallest) & (left != time)]
             moved = [own.bound_motion(time, left) for own in spheres]
             bounds[left] = np.maximum(bounds[left], found - moved[0] - moved[1] - needed[left])
             left = left[bounds[left] < smallest]
         return smallest
+
+    def measure(self, robot: Array, hand: Array, max_distance: float) -> float:
+        """Measure the smallest distance between the surfaces (m), at most `max_distance`; 0 or negative on overlap.
+
+        Args:
+            robot: Joint positions (9,) of the Panda (rad, m).
+            hand: Joint positions (51,) of the hand (m, rad).
+            max_distance: Distance (m) beyond which no search is needed.
+        """
+        model, data = self._model, self._data
+        poses = self._hand.compute_poses(hand[None])
+        data.qpos[:], data.mocap_pos[:], data.mocap_quat[:] = robot, poses[0][0], poses[1][0]
+        mujoco.mj_kinematics(model, data)
+        first, second = self._pairs.T
+        between = np.linalg.norm(data.geom_xpos[first] - data.geom_xpos[second], axis=1)
+        bounds = between - model.geom_rbound[first] - model.geom_rbound[second] - self._margins
+        nearest = max_distance
+        for number in np.argsort(bounds):
+            if bounds[number] >= nearest:
+                break
+            margin, pair = float(self._margins[number]), self._pairs[number].tolist()
+            found = mujoco.mj_geomDistance(model, data, *pair, nearest + margin, None)
+            nearest = min(nearest, found - margin)
+        return nearest
 
 
 class _MovingSpheres:

@@ -7,13 +7,13 @@ from handover_marl.episode.observations import Observation, observe_giver_motion
 from handover_marl.episode.referee import RELEASE_REASONS, Referee, RefereeState, ReleaseReason, make_judge
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, make_tensor_factory
 from handover_marl.geometry.model_files.meshes import check_collision_meshes
-from handover_marl.simulation.engines import WARP, BatchBackend, make_worlds
+from handover_marl.simulation.engines import WARP, BatchBackend, make_world_batch
 from handover_marl.simulation.world import Contacts
 
 _VOLUNTARY = RELEASE_REASONS.index(ReleaseReason.VOLUNTARY)
 
 
-class Episodes:
+class EpisodeBatch:
     """Batch of n handover episodes, simulated together by MuJoCo or MuJoCo Warp.
 
     The episodes do not influence each other. In MuJoCo, an episode equals one of
@@ -38,7 +38,7 @@ class Episodes:
         self.config = config
         arrays = self.arrays = make_tensor_factory(backend.device) if backend.name == WARP else NUMPY_ARRAYS
         self.motion = GiverMotion(count, config.giver, arrays)
-        self._worlds = make_worlds(config.physics, count, backend, arrays)
+        self._worlds = make_world_batch(config.physics, count, backend, arrays)
         self._start = Referee(config.protocol).get_state()
         self.referees = RefereeState(*(arrays.full(count, value, "int64") for value in self._start))
         self.state: Observation = {
