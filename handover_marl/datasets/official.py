@@ -4,16 +4,23 @@
     meta_NNN.json           name, ycb_ids, ycb_grasp_ind, mano_sides, mano_betas
     pose_NNN.npz            pose_y (T, n, 6), pose_m (T, 1, 51) at 1 kHz in the table's frame (m, rad)
 <data_dir>/assets/          URDFs of objects, hands, Panda and table; grasps/<class>.npy
+
+`third_party.sha256` lists the paths of third-party files within `assets/`, with the known checksums. A stand-in file (a
+substitute made by this library) is marked as such in its first bytes.
 """
 
 import hashlib
 import io
 import json
 import os
+from collections import Counter
 from collections.abc import Mapping
-from functools import lru_cache
+from enum import Enum
+from functools import cache, lru_cache
+from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -21,20 +28,12 @@ import numpy.typing as npt
 from handover_marl.assets.shipped import CLASSES_WITHOUT_GRASPS
 from handover_marl.config import HAND_DOF, MAX_OBJECTS, OBJECT_DOF
 from handover_marl.datasets.dataset import TABLE_HEIGHT, Dataset, Scene, SceneAssets, SceneInfo
-from handover_marl.datasets.official_files import (
-    PANDA_FILES,
-    FileOrigin,
-    describe_origins,
-    find_hand_origin,
-    find_origin,
-    require_file,
-)
 from handover_marl.datasets.restricted_pickle import load_restricted
-from handover_marl.errors import DataFormatError, DataNotFoundError
+from handover_marl.errors import DataNotFoundError
 from handover_marl.execution.options import check_path
-from handover_marl.execution.reading import read_arrays, read_plain_file, report_damage
+from handover_marl.execution.reading import check_plain_file, read_arrays, read_plain_file, report_damage
 from handover_marl.geometry.model_files.urdf import list_mesh_references
-from handover_marl.geometry.panda import PANDA
+from handover_marl.geometry.panda import PANDA, PANDA_CAMERA
 from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES
 
 #: Folder of the motion files within a data folder.
@@ -42,6 +41,89 @@ CACHE_FOLDER = "dex-ycb-cache"
 #: Largest accepted size of a scene's motion (bytes, unpacked).
 MAX_MOTION_BYTES = 500_000_000
 _MAX_META_BYTES, _MAX_GRASP_BYTES = 1_000_000, 20_000_000  # official grasp files have less than 1 MB
+#: URDFs of the robot's variants, relative to `assets/`.
+PANDA_FILES = {PANDA: "franka_panda/panda_gripper.urdf", PANDA_CAMERA: "franka_panda/panda_gripper_hand_camera.urdf"}
+#: Text among the first bytes of a stand-in file.
+STAND_IN: Final = "handover_marl stand-in"
+# Scenes run without textures, and without the camera's body, which HandoverSim's URDFs name at a
+# path that does not exist.
+_OPTIONAL_ENDINGS = (".mtl", ".png", "camera.stl", "camera.DAE")
+_HEADER_BYTES = 1000
+_FILE_ADVICE = "list what is missing with handover-marl doctor, and copy or expand the HandoverSim data again"
+
+
+class FileOrigin(Enum):
+    """Origin of a model or grasp file: HandoverSim's, a stand-in (a substitute made by this library), or unknown."""
+
+    ORIGINAL = "original"
+    STAND_IN = "stand-in"
+    UNKNOWN = "unknown"
+
+
+@cache
+def read_third_party_checksums() -> MappingProxyType[str, str | None]:
+    """Return the SHA-256 (hexadecimal) of every third-party file by its path in `assets/`; None if it is unknown."""
+    text = (files(__package__) / "third_party.sha256").read_text()
+    pairs = [line.split(maxsplit=1) for line in text.splitlines() if line and not line.startswith("#")]
+    return MappingProxyType({path: None if known == "-" else known for known, path in pairs})
+
+
+def list_required_files() -> tuple[str, ...]:
+    """Return the third-party files that scenes need, as paths in `assets/`."""
+    return tuple(path for path in read_third_party_checksums() if not path.endswith(_OPTIONAL_ENDINGS))
+
+
+def classify_file_origin(path: str, content: bytes) -> FileOrigin:
+    """Return STAND_IN if the content is marked so, ORIGINAL if it has the known checksum of `path`, else UNKNOWN."""
+    if STAND_IN.encode() in content[:_HEADER_BYTES]:
+        return FileOrigin.STAND_IN
+    known = read_third_party_checksums().get(path)
+    same = known is not None and hashlib.sha256(content).hexdigest() == known
+    return FileOrigin.ORIGINAL if same else FileOrigin.UNKNOWN
+
+
+def find_hand_origin(folder: Path) -> FileOrigin:
+    """Return ORIGINAL for the folder of a hand compiled from MANO, else STAND_IN; UNKNOWN if it cannot be read.
+
+    The palm of a compiled hand is an open surface: some edges belong to one triangle. Other hands have closed meshes.
+    """
+    try:
+        lines = read_plain_file(folder / "meshes" / "visual" / "mesh1.obj").splitlines()
+    except (OSError, ValueError):
+        return FileOrigin.UNKNOWN
+    faces = [line.split()[1:] for line in lines if line.startswith(b"f ")]
+    edges = Counter(frozenset(pair) for face in faces for pair in zip(face, [*face[1:], *face[:1]], strict=True))
+    return FileOrigin.STAND_IN if all(count == 2 for count in edges.values()) else FileOrigin.ORIGINAL
+
+
+def find_origin(assets: Path, path: str) -> FileOrigin:
+    """Return the origin of a third-party file by its path in the folder `assets`; UNKNOWN if it cannot be read."""
+    try:
+        return classify_file_origin(path, read_plain_file(assets / path))
+    except (OSError, ValueError):
+        return FileOrigin.UNKNOWN
+
+
+def is_stand_in_file(path: Path) -> bool:
+    """Return whether a file is a stand-in, a substitute made by this library; False if it cannot be read."""
+    return find_origin(path.parent, path.name) is FileOrigin.STAND_IN
+
+
+def describe_origins(kind: str, *origins: FileOrigin) -> list[str]:
+    """Return a note on files of a kind, e.g. "grasps", from the origin of each file, as a list of one or no text.
+
+    The note is "stand-in KIND" if a file is a stand-in, else "KIND of unknown origin" if an origin is unknown.
+    """
+    if FileOrigin.STAND_IN in origins:
+        return [f"stand-in {kind}"]
+    return [f"{kind} of unknown origin"] if FileOrigin.UNKNOWN in origins else []
+
+
+def require_file(path: Path, advice: str = _FILE_ADVICE) -> Path:
+    """Return `path` if it is a readable file; else raise `DataNotFoundError` or `DataFormatError`, with `advice`."""
+    with report_damage(path, "file", advice):
+        check_plain_file(path)
+    return path
 
 
 def _read_scene_info(path: Path, scene_id: int) -> tuple[SceneInfo, list[int]]:
@@ -54,7 +136,7 @@ def _read_scene_info(path: Path, scene_id: int) -> tuple[SceneInfo, list[int]]:
     with report_damage(path, "meta file of a scene", advice):
         meta = json.loads(read_plain_file(path, _MAX_META_BYTES))
         ids, grasped, sides, name = (meta[key] for key in ("ycb_ids", "ycb_grasp_ind", "mano_sides", "name"))
-        check_scene_meta(path, ids, grasped, sides)
+        check_scene_meta(ids, grasped, sides)
     order = [grasped, *(index for index in range(len(ids)) if index != grasped)]
     ids = [ids[index] for index in order]
     names = tuple(CLASS_NAMES[number] for number in ids)
@@ -75,23 +157,15 @@ def read_motion(path: Path, shapes: Mapping[str, tuple[int, ...]], advice: str) 
     return arrays
 
 
-def check_scene_meta(path: Path, ids: list[int], grasped: int, sides: list[Any]) -> None:
-    """Check the objects and the hand in a meta file; raise `DataFormatError`, which names `path`, for a fault.
-
-    `ids` are class numbers, `grasped` is the index of the handed-over object; `sides` must be ["right"] or ["left"].
-    """
-    unknown = [number for number in ids if number not in SCENE_CLASSES]
-    if unknown:
-        raise DataFormatError(
-            f"{path}: unknown object class {unknown[0]} in ycb_ids; classes of scenes are "
-            f"{', '.join(map(str, SCENE_CLASSES))}"
-        )
-    if not 1 <= len(ids) <= MAX_OBJECTS:
-        raise DataFormatError(f"{path}: {len(ids)} objects in ycb_ids, expected 1 to {MAX_OBJECTS}")
-    if not 0 <= grasped < len(ids):
-        raise DataFormatError(f"{path}: ycb_grasp_ind {grasped} is not an index into {len(ids)} ycb_ids")
+def check_scene_meta(ids: list[int], grasped: int, sides: list[Any]) -> None:
+    """Raise `ValueError` for a fault in a meta file: class numbers, index of the handed-over object, sides of hands."""
+    if not 1 <= len(ids) <= MAX_OBJECTS or not set(ids) <= set(SCENE_CLASSES):
+        classes = ", ".join(map(str, SCENE_CLASSES))
+        raise ValueError(f"ycb_ids must be 1 to {MAX_OBJECTS} of the object classes {classes}, got {ids}")
+    if grasped not in range(len(ids)):
+        raise ValueError(f"ycb_grasp_ind must be an index into {len(ids)} ycb_ids, got {grasped}")
     if sides not in (["right"], ["left"]):
-        raise DataFormatError(f"{path}: mano_sides is {sides}, expected ['right'] or ['left']")
+        raise ValueError(f"mano_sides must be ['right'] or ['left'], got {sides}")
 
 
 def load_grasps(path: Path) -> npt.NDArray[np.float64]:

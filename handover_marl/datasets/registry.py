@@ -1,16 +1,13 @@
-"""Opening of data sets by name, `KIND` or `KIND:ARGUMENT`, on this machine and on worker machines."""
+"""Opening of data sets by name, `KIND` or `KIND:ARGUMENT`."""
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
-from pathlib import Path
-from platform import node
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
 from handover_marl.datasets.dataset import Dataset
 from handover_marl.datasets.official import OfficialDataset
-from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError, UnknownNameError
+from handover_marl.errors import DataNotFoundError, OptionError, UnknownNameError
 from handover_marl.execution.options import check_path
 from handover_marl.geometry.panda import PANDA
 
@@ -18,11 +15,6 @@ from handover_marl.geometry.panda import PANDA
 DATA_DIR_VARIABLE: Final = "HANDOVER_MARL_DATA"
 #: Name of DexYCB if a data folder is given or set, else of the synthetic scenes.
 AUTO: Final = "auto"
-#: Advice for a machine whose data folder is missing or differs.
-DATA_FOLDER_ADVICE = (
-    f"Machines share no files: every node needs the same data folder, at the same path or named by {DATA_DIR_VARIABLE} "
-    "in the environment that Ray was started in there."
-)
 
 
 class DatasetKind(NamedTuple):
@@ -130,51 +122,3 @@ def find_dataset_note(name: str) -> str:
     """Return the sentence that belongs below tables of a data set's results; empty if there is none."""
     kind = name.partition(":")[0]
     return KINDS[kind].note if kind in KINDS else ""
-
-
-@dataclass(frozen=True)
-class DataLocation:
-    """Data folder as known to the machine that starts an evaluation: absolute paths, "" for none.
-
-    Attributes:
-        argument: Folder passed as an argument.
-        environment: Folder in `HANDOVER_MARL_DATA` of that machine, if the data set is DexYCB.
-    """
-
-    argument: str = ""
-    environment: str = ""
-
-    @classmethod
-    def from_data_dir(cls, data_dir: str | os.PathLike[str] | None, dataset: str = "dexycb") -> "DataLocation":
-        """Return the location on this machine, for the arguments `data_dir` and `dataset` of an evaluation."""
-        # The variable names the folder of DexYCB only.
-        environment = os.environ.get(DATA_DIR_VARIABLE) if dataset == "dexycb" else None
-        return cls(_resolve_path(data_dir), _resolve_path(environment))
-
-    def resolve(self) -> str | None:
-        """Return the folder to use on this machine; None means the folder in `HANDOVER_MARL_DATA`, or no folder.
-
-        The order of preference is: `argument` if it exists on this machine, `HANDOVER_MARL_DATA` of
-        this machine, `environment`.
-        """
-        if self.argument and Path(self.argument).is_dir():
-            return self.argument
-        if not os.environ.get(DATA_DIR_VARIABLE) and self.environment and Path(self.environment).is_dir():
-            return self.environment
-        return None
-
-
-def check_scene_fingerprint(scene_id: int, found: str, expected: str) -> None:
-    """Check that a scene is the same on this machine as on the machine that started the evaluation.
-
-    Raise `DataFormatError` if the fingerprints `found` here and `expected` there differ; "" as `expected` accepts any.
-    """
-    if expected not in ("", found):
-        raise DataFormatError(
-            f"scene {scene_id} on {node()} differs from the requested one (fingerprint {found} there, {expected} "
-            f"here). {DATA_FOLDER_ADVICE}"
-        )
-
-
-def _resolve_path(folder: str | os.PathLike[str] | None) -> str:
-    return str(Path(folder).expanduser().resolve()) if folder else ""

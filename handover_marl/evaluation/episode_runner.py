@@ -7,6 +7,7 @@ installed there. Library and data are compared with the main machine's before a 
 
 import contextlib
 import functools
+import os
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,17 +16,23 @@ from tempfile import TemporaryDirectory
 from typing import TypeAlias
 
 from handover_marl.config import TIME_STEP
-from handover_marl.datasets.registry import DATA_FOLDER_ADVICE, DataLocation, check_scene_fingerprint
+from handover_marl.datasets import DATA_DIR_VARIABLE
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import ActionRecorder, EpisodeCallback, EpisodePolicy, derive_robot_seed, run_episode
 from handover_marl.episode.metrics.fluency import compute_fluency, has_early_grab
 from handover_marl.episode.metrics.motion import TraceRecorder
-from handover_marl.errors import ActionError, DataNotFoundError, OptionError, PolicyError
+from handover_marl.errors import ActionError, DataFormatError, DataNotFoundError, OptionError, PolicyError
 from handover_marl.evaluation.config import REPLAY, EvaluationConfig, require_policy_reference
 from handover_marl.evaluation.results import EpisodeResult, EpisodeWriter
 from handover_marl.execution.options import describe_machine
 from handover_marl.execution.pool import AnyPool
 from handover_marl.policies.reference import PolicyBundle
+
+# For a node whose data folder is missing or differs.
+_DATA_FOLDER_ADVICE = (
+    f"Machines share no files: every node needs the same data folder, at the same path or named by {DATA_DIR_VARIABLE} "
+    "in the environment that Ray was started in there."
+)
 
 
 @dataclass(frozen=True)
@@ -70,7 +77,11 @@ class EpisodeRunner:
         """
         scene = self.dataset.load_scene(task.scene_id)
         fingerprint = self.dataset.compute_fingerprint(task.scene_id)
-        check_scene_fingerprint(task.scene_id, fingerprint, task.fingerprint)
+        if task.fingerprint not in ("", fingerprint):
+            raise DataFormatError(
+                f"scene {task.scene_id} on {node()} differs from the requested one (fingerprint {fingerprint} there, "
+                f"{task.fingerprint} here). {_DATA_FOLDER_ADVICE}"
+            )
         self.episode.reset(scene, derive_robot_seed(self.config.seed, scene))
         recorders = [recorder for recorder, _ in self._recorders]
         callbacks: list[EpisodeCallback] = [self._trace_recorder, self._action_recorder, *recorders]
@@ -121,7 +132,9 @@ def run_episodes(
     remote = None
     if pool.is_remote:
         references = map(require_policy_reference, (config.giver, config.receiver))
-        remote = DataLocation.from_data_dir(config.data_dir, config.dataset), [*map(PolicyBundle.pack, references)]
+        folders = (config.data_dir, os.environ.get(DATA_DIR_VARIABLE))
+        given, usual = (str(Path(folder).expanduser().resolve()) if folder else "" for folder in folders)
+        remote = given, usual, [*map(PolicyBundle.pack, references)]
     open_runner = functools.partial(_open_runner, config, parallelism, writers, remote)
     return pool.map_unordered(open_runner, tasks, lambda task: f"simulating scene {task.scene_id}")
 
@@ -131,17 +144,24 @@ def _open_runner(
     config: EvaluationConfig,
     parallelism: str,
     writers: tuple[EpisodeWriter, ...],
-    remote: tuple[DataLocation, list[PolicyBundle]] | None,
+    remote: tuple[str, str, list[PolicyBundle]] | None,
 ) -> Iterator[Callable[[SceneTask], FinishedEpisode]]:
-    """Yield the function that simulates a task; with `remote`, use the data and the policies' files on this node."""
+    """Yield the function that simulates a task.
+
+    On a node of a cluster, `remote` has the data folder that was passed on the main machine, the one in its environment
+    ("" for none), and the policies with their files. A folder that was passed is used if the node has it, else that in
+    the node's environment, else that in the main machine's.
+    """
     with contextlib.nullcontext("") if remote is None else TemporaryDirectory() as folder:
         if remote is not None:
-            location, bundles = remote
+            given, usual, bundles = remote
             policies = {bundle.reference.agent: bundle.unpack(Path(folder)) for bundle in bundles}
-            config = replace(config, data_dir=location.resolve(), **policies)  # type: ignore[arg-type]
+            os.environ[DATA_DIR_VARIABLE] = os.environ.get(DATA_DIR_VARIABLE) or usual
+            data_dir = given if given and Path(given).is_dir() else None
+            config = replace(config, data_dir=data_dir, **policies)  # type: ignore[arg-type]
             try:
                 config.open_dataset()
             except DataNotFoundError as error:
-                raise DataNotFoundError(f"on node {node()}: {error} {DATA_FOLDER_ADVICE}") from error
+                raise DataNotFoundError(f"on node {node()}: {error} {_DATA_FOLDER_ADVICE}") from error
         with contextlib.closing(EpisodeRunner(config, parallelism, writers)) as runner:
             yield runner.run

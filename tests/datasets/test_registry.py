@@ -9,9 +9,8 @@ from pathlib import Path
 import pytest
 
 import handover_marl
-from handover_marl.datasets import DATA_DIR_VARIABLE, open_dataset
+from handover_marl.datasets import open_dataset
 from handover_marl.datasets.generated.dataset import FIRST_CLASS
-from handover_marl.datasets.registry import DataLocation
 from handover_marl.errors import SceneError, UnknownNameError
 from handover_marl.evaluation.metadata import read_result_metadata
 from handover_marl.evaluation.reports.report import load_report
@@ -70,21 +69,3 @@ def test_results_of_another_data_set(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert f"1 of {n_split} scenes" in again.heading
     assert again.episodes[0].object_name.startswith("object_")
     assert verify(tmp_path / "out", workers=1, progress=False).is_verified
-
-
-def test_data_folder_of_another_machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The order is: the argument, a machine's own environment variable, that of the machine that starts."""
-    argument, environment, own = (tmp_path / name for name in ("given", "usual", "own"))
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv(DATA_DIR_VARIABLE, str(environment))
-    asked, not_given = DataLocation.from_data_dir("given"), DataLocation.from_data_dir(None)
-    assert (asked.argument, not_given.argument, asked.environment) == (str(argument), "", str(environment))
-    # On a machine that has neither folder, the machine's own environment variable is used.
-    monkeypatch.chdir("/")
-    monkeypatch.setenv(DATA_DIR_VARIABLE, str(own))
-    environment.mkdir()
-    assert asked.resolve() is not_given.resolve() is None, "its own comes before another machine's"
-    argument.mkdir()
-    assert (asked.resolve(), not_given.resolve()) == (str(argument), None)
-    monkeypatch.delenv(DATA_DIR_VARIABLE)
-    assert (asked.resolve(), not_given.resolve()) == (str(argument), str(environment))

@@ -21,8 +21,11 @@ from handover_marl.assets.shipped import URDF_NAME
 from handover_marl.config import HAND_DOF, OBJECT_DOF
 from handover_marl.datasets.custom.scene_file import ALL_SCENES, read_scene_file
 from handover_marl.datasets.dataset import Dataset, Scene, SceneAssets, SceneInfo
-from handover_marl.datasets.official import check_grasps, read_motion
-from handover_marl.datasets.official_files import require_file
+from handover_marl.datasets.official import (
+    check_grasps,
+    read_motion,
+    require_file,
+)
 from handover_marl.datasets.splits import SPLITS
 from handover_marl.errors import DataFormatError, DataNotFoundError, UnknownNameError, check_name
 from handover_marl.execution.reading import read_arrays, read_plain_file, report_damage

@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from handover_marl.assets.shipped import CAMERA_PANDA_URDF, PANDA_URDF, find_bullet_data, load_object_grasps
 from handover_marl.datasets.dexycb.mano import N_JOINTS, PARENTS, ManoModel
-from handover_marl.datasets.official_files import (
+from handover_marl.datasets.official import (
     PANDA_FILES,
     STAND_IN,
     FileOrigin,

@@ -136,7 +136,7 @@ def read_meta(sequence: SequenceFolder) -> dict[str, Any]:
     with report_damage(path, *_KIND_AND_ADVICE):
         content: Any = read_yaml(path, _MAX_YAML_BYTES)
         meta = {key: content[key] for key in ("ycb_ids", "ycb_grasp_ind", "mano_sides", "mano_calib", "extrinsics")}
-        check_scene_meta(path, meta["ycb_ids"], meta["ycb_grasp_ind"], meta["mano_sides"])
+        check_scene_meta(meta["ycb_ids"], meta["ycb_grasp_ind"], meta["mano_sides"])
         (_,) = meta["mano_calib"]
     return meta
 

@@ -19,8 +19,12 @@ from handover_marl.datasets.dexycb.assets import (
     write_stand_ins,
     write_table_assets,
 )
-from handover_marl.datasets.official import load_grasps
-from handover_marl.datasets.official_files import PANDA_FILES, is_stand_in_file, list_required_files
+from handover_marl.datasets.official import (
+    PANDA_FILES,
+    is_stand_in_file,
+    list_required_files,
+    load_grasps,
+)
 from handover_marl.episode.episode import Episode
 from handover_marl.errors import DataFormatError
 from handover_marl.geometry.model_files.urdf import list_mesh_references

@@ -16,8 +16,10 @@ from handover_marl.cli import main
 from handover_marl.datasets import OfficialDataset
 from handover_marl.datasets.dexycb.importer import ImportReport, import_dexycb
 from handover_marl.datasets.dexycb.scenes import SequenceFolder, find_sequences, read_sequence, read_sequence_names
-from handover_marl.datasets.official import CACHE_FOLDER
-from handover_marl.datasets.official_files import list_required_files
+from handover_marl.datasets.official import (
+    CACHE_FOLDER,
+    list_required_files,
+)
 from handover_marl.errors import (
     DataFormatError,
     DataNotFoundError,
@@ -229,7 +231,7 @@ DAMAGES: list[tuple[Callable[[SequenceFolder], Any], str]] = [
         lambda sequence: write_yaml(mano_file(sequence.folder.parents[1]), {"betas": ["x"] * 10}),
         "could not convert string",
     ),
-    (lambda sequence: RawScene(meta={"ycb_ids": [2, 99]}).write(sequence.folder.parents[1]), "object class 99"),
+    (lambda sequence: RawScene(meta={"ycb_ids": [2, 99]}).write(sequence.folder.parents[1]), r"got .2, 99."),
     (
         lambda sequence: RawScene(meta={"mano_calib": []}).write(sequence.folder.parents[1]),
         "not a readable file of DexYCB",
