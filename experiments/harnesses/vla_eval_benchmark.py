@@ -5,7 +5,7 @@
 
 A model gets the image of the wrist camera, the joints of the robot and the task in words. It returns a motion of the
 Panda's hand link in the link's own frame, and the opening of the gripper, see
-`handover_marl.learning.receiver_schemes.CartesianDeltaScheme`.
+`handover_marl.learning.schemes.CartesianDeltaScheme`.
 """
 
 from typing import Any

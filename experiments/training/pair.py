@@ -5,8 +5,7 @@ from pathlib import Path
 
 import handover_marl
 from handover_marl.envs.wrappers.encode import EncodedEnv
-from handover_marl.learning.policy_files import write_policy
-from handover_marl.learning.policy_spec import DenseNetwork, PolicySpec
+from handover_marl.learning.policy_files import DenseNetwork, PolicySpec, write_policy
 from handover_marl.learning.training.run_folder import describe_origin, validate
 from handover_marl.learning.training.scene_arguments import RlArgs
 

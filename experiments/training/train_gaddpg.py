@@ -23,8 +23,7 @@ from handover_marl.geometry.panda import PANDA_CAMERA
 from handover_marl.learning.imitation.gaddpg.data_generation import DataGenerator, ImitationStates, list_shared_scenes
 from handover_marl.learning.imitation.gaddpg.expert import ExpertPlan
 from handover_marl.learning.imitation.gaddpg.training import GaddpgLearner, ImitationBatches
-from handover_marl.learning.imitation.run import ImitationArgs, ImitationRun
-from handover_marl.learning.imitation.samples import generate_samples, join_samples
+from handover_marl.learning.imitation.run import ImitationArgs, ImitationRun, generate_samples, join_samples
 from handover_marl.learning.networks.gaddpg_network import GaddpgNetwork
 from handover_marl.learning.networks.weights import read_network_weights
 from handover_marl.learning.training.scene_arguments import run_script

@@ -3,9 +3,9 @@
     python experiments/training/train_giver_offers.py --data-dir DIR --out runs/offers
 
 An offer is the handover pose and the withdrawal of `HandoverPoseScheme`; the rest of the person's motion is scripted. A
-network predicts success and time of an offer from the features of `handover_marl.learning.offers`. Offers of the first
-round are random. In later rounds, each offer is the best of 1, 4, 16 or 64 random ones by the network's prediction. The
-network is trained anew after each round. The folder gets `offers.npz`, the offers of all rounds, and `policy.npz`
+network predicts success and time of an offer from `OfferFeatures`. Offers of the first round are random. In later
+rounds, each offer is the best of 1, 4, 16 or 64 random ones by the network's prediction. The network is trained anew
+after each round. The folder gets `offers.npz`, the offers of all rounds, and `policy.npz`
 (`--givers adaptive:weights=runs/offers/policy.npz`); `--resume` continues a run.
 """
 
@@ -24,16 +24,15 @@ import handover_marl
 from handover_marl.config import ProtocolConfig
 from handover_marl.episode.observations import add_episode_axis, giver_observation_space
 from handover_marl.execution.files import write_arrays
-from handover_marl.learning.imitation.samples import join_samples, read_samples
-from handover_marl.learning.offers import (
+from handover_marl.learning.adaptive_giver import (
     N_OFFER_FEATURES,
     OFFER_FEATURES,
     OfferFeatures,
     compute_offer_scores,
     draw_offers,
 )
-from handover_marl.learning.policy_files import write_policy
-from handover_marl.learning.policy_spec import DenseNetwork, PolicySpec
+from handover_marl.learning.imitation.run import join_samples, read_samples
+from handover_marl.learning.policy_files import DenseNetwork, PolicySpec, write_policy
 from handover_marl.learning.training.run_folder import (
     describe_origin,
     fit_network,

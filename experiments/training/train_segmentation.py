@@ -20,8 +20,7 @@ import numpy as np
 import torch
 from rich.progress import track
 
-from handover_marl.learning.imitation.run import ImitationLearner
-from handover_marl.learning.imitation.samples import generate_samples, join_samples
+from handover_marl.learning.imitation.run import ImitationLearner, generate_samples, join_samples
 from handover_marl.learning.imitation.vision.segmentation import (
     LabelledBatches,
     PointBatches,
@@ -87,7 +86,7 @@ def load_views(args: Args, scenes: Sequence[int]) -> list[SegmentationViews]:
 
 
 def train(learner: ImitationLearner[Any, Any], data: Sequence[LabelledBatches], size: int, args: Args) -> None:
-    """Train the learner's network by batches of `size` samples of `data[0]`; print its metrics on those of `data[1]`."""
+    """Train the learner's network by batches of `size` samples of `data[0]`, and print its metrics on `data[1]`."""
     samples, held_out = data
     for number in track(range(learner.updates), description="updates"):
         learner.update(samples.sample(size, np.random.default_rng((args.seed, number))))

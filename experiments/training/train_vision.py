@@ -19,8 +19,7 @@ from pathlib import Path
 import torch
 
 from handover_marl.datasets import open_dataset
-from handover_marl.learning.imitation.run import ImitationArgs, ImitationRun
-from handover_marl.learning.imitation.samples import generate_samples, join_samples
+from handover_marl.learning.imitation.run import ImitationArgs, ImitationRun, generate_samples, join_samples
 from handover_marl.learning.imitation.vision.training import GraspLearner, ViewBatches
 from handover_marl.learning.imitation.vision.views import GraspViews, ViewRenderer
 from handover_marl.learning.networks.grasp_network import GraspNetwork

@@ -1,30 +1,182 @@
-"""Giver that chooses where and how to offer the object, by a network that predicts the success of offers."""
+"""Giver that chooses where and how to offer the object, by a network that predicts the success of offers.
 
+An offer is a vector of outputs of `HandoverPoseScheme`. Its features depend on what a person can see: the object, the
+own hand, the gripper, and the known grasps of the object. They do not depend on the receiver's policy.
+"""
+
+import functools
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 import handover_marl.givers
 from handover_marl.config import CheckedConfig, bounded
+from handover_marl.episode.metrics.fluency import CHEST, HALF_SHOULDER_WIDTH
 from handover_marl.episode.observations import Observation
 from handover_marl.errors import DataFormatError
-from handover_marl.geometry.arrays import AnyIndices, ArrayFactory, to_numpy
+from handover_marl.geometry.arrays import AnyArray, AnyIndices, ArrayFactory, get_namespace, to_numpy, widen
+from handover_marl.geometry.panda import HALF_TURN
+from handover_marl.geometry.poses import compose, inverse_transform_points, invert_pose
+from handover_marl.geometry.rotations import multiply_quaternions, quaternions_from_rotation_vectors
 from handover_marl.givers.array_giver import ArrayGiver
-from handover_marl.learning.giver_schemes import HandoverPoseScheme
-from handover_marl.learning.grasp_selector import LowestCostGraspSelector
-from handover_marl.learning.offers import (
-    N_OFFER_FEATURES,
-    OFFER_FEATURES,
-    OfferFeatures,
-    Vectors,
-    compute_added_reaches,
-    compute_offer_scores,
-    draw_offers,
+from handover_marl.learning.array_features import compute_handover_frames, rotate_to_world
+from handover_marl.learning.grasp_selector import (
+    MAX_REACH_DISTANCE,
+    GraspCosts,
+    LowestCostGraspSelector,
+    load_validated_grasps,
 )
 from handover_marl.learning.policy_files import read_policy
+from handover_marl.learning.schemes import HandoverPoseScheme
 from handover_marl.policies.batch import Actions
 from handover_marl.policies.policy import PolicyContext
+from handover_marl.receivers.grasp_library import load_hand_poses
+
+Array = npt.NDArray[np.float64]
+Vectors = npt.NDArray[np.float32]
+
+#: Name of the features in policy files, and the number of features of an offer.
+OFFER_FEATURES, N_OFFER_FEATURES = "offer_grasps", 48
+# Numbers of nearest grasps over which clearances are averaged, and number of best grasps whose reach is computed.
+_NUMBERS_OF_GRASPS, _N_BEST = (1, 4, 16, 64), 4
+
+
+def draw_offers(rng: np.random.Generator, count: int, spread: float) -> Vectors:
+    """Draw `count` random offers (count, 7) in [-1, 1], float32; the first one has the recorded handover pose.
+
+    Args:
+        rng: Random generator.
+        count: Number of offers.
+        spread: Standard deviation of the outputs before they are clipped.
+    """
+    offers = np.clip(spread * rng.standard_normal((count, HandoverPoseScheme.size)), -1.0, 1.0)
+    offers[0, :6] = 0.0
+    return offers.astype(np.float32)
+
+
+def compute_offered_poses(observation: Observation, offers: Vectors) -> Array:
+    """Return world poses (k, 7; xyzw) of the object at k offers (k, 7) in the episode of an observation (1, ...)."""
+    origins, frames = compute_handover_frames(observation)
+    shifts = rotate_to_world(frames, widen(offers[:, :3]) * HandoverPoseScheme.max_output_translation)
+    turns = rotate_to_world(frames, widen(offers[:, 3:6]) * HandoverPoseScheme.max_output_rotation)
+    recorded = widen(observation["replay_object_poses"][:, -1, 3:])
+    rotations = multiply_quaternions(quaternions_from_rotation_vectors(turns), recorded)
+    return np.concatenate([origins + shifts, rotations], axis=1)
+
+
+def compute_added_reaches(observation: Observation, offers: Vectors) -> Array:
+    """Return how much farther the person reaches at k offers (k, 7) than in the recording, (k,) in m, at least 0.
+
+    The reach is the distance of the wrist from the nearer shoulder of a person who faces the robot.
+
+    Args:
+        observation: Arrays (1, ...) of the giver's observation.
+        offers: Offers (k, 7), outputs of `HandoverPoseScheme`.
+    """
+    recorded = widen(observation["replay_wrist_poses"][:, -1])
+    wrist_in_object = compose(invert_pose(widen(observation["replay_object_poses"][:, -1])), recorded)
+    wrists = np.concatenate([recorded, compose(compute_offered_poses(observation, offers), wrist_in_object)])[:, :3]
+    shoulders = np.array(CHEST) + HALF_SHOULDER_WIDTH * np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    reaches = np.linalg.norm(wrists[:, None] - shoulders, axis=2).min(axis=1)
+    added: Array = (reaches[1:] - reaches[0]).clip(0.0)
+    return added
+
+
+class OfferFeatures:
+    """Features of the offers of a giver, from which a network predicts their success.
+
+    | features | meaning |
+    |---|---|
+    | 0-18 | the known grasps of the object, see below |
+    | 19-37 | the validated grasps of the receiver `reactive`, which include tilted copies of the known ones |
+    | 38-40 | position of the recorded handover in the world (m) |
+    | 41-47 | the offer |
+
+    The nearest grasps are those to which the gripper's motion has the lowest cost; the best ones have the lowest cost
+    of motion, hold and clearance, see `GraspCosts`. Features of a set of grasps:
+
+    | features | meaning |
+    |---|---|
+    | 0-3 | clearance of the person's hand, mean over the 1, 4, 16 and 64 nearest grasps (m, times 10) |
+    | 4-7 | share of these grasps whose clearance is at least `GraspCosts.min_clearance` |
+    | 8 | cost of the motion to the nearest grasp (m) |
+    | 9-12 | best grasp: cost (m), clearance (m, times 10), cost of the motion (m), cost of the hold (s) |
+    | 13-18 | distance from a reachable pose (m, times 10): nearest grasp, the four best grasps, least of these five |
+
+    Args:
+        context: Robot, and known grasps of the objects.
+    """
+
+    def __init__(self, context: PolicyContext) -> None:
+        self._context, self._costs = context, GraspCosts(context)
+
+    def __call__(self, observation: Observation, offers: Vectors) -> Vectors | None:
+        """Return the features (k, 48) of k offers in one episode; None if no grasp of the object is known.
+
+        Args:
+            observation: Arrays (1, ...) of the giver's observation.
+            offers: Offers (k, 7), outputs of `HandoverPoseScheme`.
+        """
+        object_class = int(observation["object_classes"][0, 0])
+        sets = [load(self._context, object_class) for load in (_load_known_grasps, load_validated_grasps)]
+        objects, found = compute_offered_poses(observation, offers), []
+        for grasps in sets:
+            if grasps is None:
+                return None
+            found.append(self._compute_set(observation, objects, *grasps))
+        hands = compose(objects[:, None], np.concatenate([chosen for _, chosen in found], axis=1))
+        robots = np.repeat(observation["robot_joint_position"], len(offers), axis=0)
+        distances = 10.0 * self._costs.compute_reach_distances(hands, robots).clip(None, MAX_REACH_DISTANCE)
+        parts = []
+        for (numbers, _), reaches in zip(found, np.split(distances, len(sets), axis=1), strict=True):
+            parts += [numbers, reaches, reaches.min(axis=1, keepdims=True)]
+        origins, _ = compute_handover_frames(observation)
+        parts += [np.broadcast_to(origins, (len(offers), 3)), widen(offers)]
+        return np.concatenate(parts, axis=1).astype(np.float32)
+
+    def _compute_set(
+        self, observation: Observation, objects: Array, grasps: Array, hold_costs: Array
+    ) -> tuple[Array, Array]:
+        """Return features 0-12 of a set of grasps at k offers (k, 13), and the nearest and four best grasps (k, 5, 7).
+
+        `objects` (k, 7) are world poses of the offered object; `grasps` (g, 7) in its frame have hold costs (g,) in s.
+        """
+        joints = inverse_transform_points(observation["object_poses"][:, :1], observation["hand_keypoints"])
+        clearances = self._costs.compute_clearances(grasps[None], joints)[0]
+        gripper = compose(invert_pose(objects), observation["gripper_pose"])
+        motions = self._costs.compute_motion_costs(grasps[None], gripper)
+        costs = motions + GraspCosts.hold_weight * hold_costs + self._costs.compute_clearance_costs(clearances)
+        nearest, order = (np.argsort(values, axis=1, kind="stable") for values in (motions, costs))
+        free, rows = clearances >= GraspCosts.min_clearance, np.arange(len(objects))
+        first, best = nearest[:, 0], order[:, 0]
+        numbers = [10.0 * clearances[nearest[:, :number]].mean(axis=1) for number in _NUMBERS_OF_GRASPS]
+        numbers += [free[nearest[:, :number]].mean(axis=1) for number in _NUMBERS_OF_GRASPS]
+        numbers += [motions[rows, first], costs[rows, best], 10.0 * clearances[best], motions[rows, best]]
+        chosen = grasps[np.concatenate([first[:, None], order[:, :_N_BEST]], axis=1)]
+        return np.stack([*numbers, hold_costs[best]], axis=1), chosen
+
+
+def compute_offer_scores(outputs: AnyArray) -> AnyArray:
+    """Return scores (k,) of offers, higher is better: probability of success times the unused share of the time limit.
+
+    Args:
+        outputs: Outputs (k, 2) of a network: logit of the success, and the time of the success as a share of the limit.
+    """
+    xp = get_namespace(outputs)
+    return (1.0 - outputs[:, 1].clip(0.0, 1.0)) / (1.0 + xp.exp(-outputs[:, 0]))
+
+
+@functools.lru_cache(maxsize=1024)
+def _load_known_grasps(context: PolicyContext, object_class: int) -> tuple[Array, Array] | None:
+    """Return grasps like `load_validated_grasps`: the known ones, without tilted copies, with hold costs of zero."""
+    poses = load_hand_poses(context.load_grasps, context.object_names[object_class])
+    if poses is None:
+        return None
+    poses = np.concatenate([poses, compose(poses, np.array(HALF_TURN))])
+    return poses, np.zeros(len(poses))
+
 
 _SHIPPED = Path(handover_marl.givers.__file__).parent / "policies" / "adaptive.npz"
 
@@ -51,9 +203,9 @@ class AdaptiveGiver(ArrayGiver):
     """Giver that chooses the best of many random offers when the recorded hand is about to stop.
 
     An offer is a handover pose and a withdrawal; the rest of the motion is that of `HandoverPoseScheme`. A network
-    predicts success and time of an offer from what the person sees, see `handover_marl.learning.offers`. It was trained
-    with the receiver `yang2021`, but does not observe who the receiver is. Objects without known grasps are handed over
-    at the recorded pose.
+    predicts success and time of an offer from what the person sees, see `OfferFeatures`. It was trained with the
+    receiver `yang2021`, but does not observe who the receiver is. Objects without known grasps are handed over at the
+    recorded pose.
 
     Args:
         context: Robot, task and known grasps of the objects.

@@ -25,14 +25,16 @@ from handover_marl.learning.custom_encodings import (
     SchemeLike,
     is_reference,
 )
-from handover_marl.learning.giver_schemes import DeviationScheme, HandoverPoseScheme, RawGiverScheme
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
-from handover_marl.learning.policy_spec import OBSERVATION
-from handover_marl.learning.receiver_schemes import (
+from handover_marl.learning.policy_files import OBSERVATION
+from handover_marl.learning.schemes import (
     CartesianDeltaScheme,
+    DeviationScheme,
     GraspServoScheme,
+    HandoverPoseScheme,
     JointDeltaScheme,
     JointPositionScheme,
+    RawGiverScheme,
     RawReceiverScheme,
 )
 from handover_marl.policies.policy import PolicyContext

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from handover_marl.episode.observations import giver_observation_space, state_space
 from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
 from handover_marl.learning.encodings import count_features, count_outputs, list_features, list_schemes, make_scheme
-from handover_marl.learning.giver_schemes import HandoverPoseScheme
+from handover_marl.learning.schemes import HandoverPoseScheme
 from tests.docs.pages import REPOSITORY, checked_table, marks
 from tests.learning.array_encodings import CONTEXT, SingleFeatures, select_grasp
 

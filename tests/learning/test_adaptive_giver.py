@@ -7,9 +7,8 @@ import pytest
 
 from handover_marl import givers
 from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError
-from handover_marl.learning.offers import N_OFFER_FEATURES, OFFER_FEATURES
-from handover_marl.learning.policy_files import write_policy
-from handover_marl.learning.policy_spec import DenseNetwork, PolicySpec
+from handover_marl.learning.adaptive_giver import N_OFFER_FEATURES, OFFER_FEATURES
+from handover_marl.learning.policy_files import DenseNetwork, PolicySpec, write_policy
 from tests.givers.test_givers import seen
 
 

@@ -13,8 +13,7 @@ from handover_marl.episode.metrics.fluency import CHEST, HALF_SHOULDER_WIDTH
 from handover_marl.episode.observations import Observation, add_episode_axis
 from handover_marl.geometry.panda import HALF_TURN
 from handover_marl.geometry.poses import compose, inverse_transform_points, invert_pose, transform_points
-from handover_marl.learning.grasp_selector import MAX_CLEARANCE, load_validated_grasps
-from handover_marl.learning.offers import (
+from handover_marl.learning.adaptive_giver import (
     N_OFFER_FEATURES,
     OfferFeatures,
     Vectors,
@@ -23,6 +22,7 @@ from handover_marl.learning.offers import (
     compute_offered_poses,
     draw_offers,
 )
+from handover_marl.learning.grasp_selector import MAX_CLEARANCE, load_validated_grasps
 from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.planning.robot_clearance import Spheres, compute_grasp_clearances
 from handover_marl.receivers import make_policy_context
@@ -132,7 +132,7 @@ def test_grasps_that_may_not_hold_cost_more(monkeypatch: pytest.MonkeyPatch) -> 
     assert validated is not None
     observation, offers = draw_observation(0), draw_offers(np.random.default_rng(0), 3, 0.5)
     costs = np.zeros(len(validated[0]))
-    monkeypatch.setattr("handover_marl.learning.offers.load_validated_grasps", lambda *_: (validated[0], costs))
+    monkeypatch.setattr("handover_marl.learning.adaptive_giver.load_validated_grasps", lambda *_: (validated[0], costs))
     firm = compute_features(observation, offers)
     costs[:] = 2.0
     loose = compute_features(observation, offers)

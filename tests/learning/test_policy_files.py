@@ -20,10 +20,17 @@ from handover_marl.envs.vector.policy_batches import make_policy_batch
 from handover_marl.errors import ActionError, DataFormatError, HandoverError, OptionError
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, to_numpy
 from handover_marl.learning.adapters.function_policy import LearnedPolicy
+from handover_marl.learning.adaptive_giver import OFFER_FEATURES
 from handover_marl.learning.encodings import count_features, count_outputs
-from handover_marl.learning.offers import OFFER_FEATURES
-from handover_marl.learning.policy_files import read_policy, write_policy
-from handover_marl.learning.policy_spec import ACTIVATIONS, DenseNetwork, InputNormalization, OutputBounds, PolicySpec
+from handover_marl.learning.policy_files import (
+    ACTIVATIONS,
+    DenseNetwork,
+    InputNormalization,
+    OutputBounds,
+    PolicySpec,
+    read_policy,
+    write_policy,
+)
 from handover_marl.policies.batch import ArrayPolicyBatch
 from handover_marl.policies.reference import parse_policy
 from tests.helpers.tensors import make_device_tensors, make_observe_function

@@ -18,8 +18,8 @@ from handover_marl.errors import HandoverError, OptionError
 from handover_marl.learning.array_features import compute_handover_frames
 from handover_marl.learning.custom_encodings import declare_size
 from handover_marl.learning.encodings import count_outputs, list_schemes, make_scheme
-from handover_marl.learning.giver_schemes import HandoverPoseScheme
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
+from handover_marl.learning.schemes import HandoverPoseScheme
 from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.receivers import WAITING_JOINTS, make_policy_context
 from tests.givers.test_givers import START, seen

@@ -12,7 +12,7 @@ pytest.importorskip("torch")
 
 from handover_marl.errors import DataFormatError, HandoverError
 from handover_marl.learning.imitation.gaddpg.data_generation import ImitationStates
-from handover_marl.learning.imitation.samples import read_samples
+from handover_marl.learning.imitation.run import read_samples
 from handover_marl.learning.networks.gaddpg_network import GaddpgNetwork, read_gaddpg_checkpoint
 from handover_marl.learning.networks.weights import read_network_weights
 from handover_marl.learning.policy_files import read_policy

@@ -19,8 +19,7 @@ from handover_marl.evaluation.reports.report import load_report
 from handover_marl.evaluation.strangers.protocol import strangers
 from handover_marl.evaluation.verification import verify
 from handover_marl.learning.encodings import count_features
-from handover_marl.learning.policy_files import write_policy
-from handover_marl.learning.policy_spec import DenseNetwork, PolicySpec
+from handover_marl.learning.policy_files import DenseNetwork, PolicySpec, write_policy
 from handover_marl.policies.populations import load_population
 from handover_marl.policies.reference import parse_policy
 from tests.evaluation.strangers.populations import GIVERS, RECEIVERS, write_population

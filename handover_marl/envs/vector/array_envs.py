@@ -28,7 +28,7 @@ from handover_marl.learning.action_scheme import ArrayScheme
 from handover_marl.learning.array_features import ArrayFeatures
 from handover_marl.learning.encodings import make_array_features, make_array_scheme
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
-from handover_marl.learning.policy_spec import OBSERVATION
+from handover_marl.learning.policy_files import OBSERVATION
 from handover_marl.policies.batch import PolicyBatch
 from handover_marl.simulation.engines import BatchBackend
 

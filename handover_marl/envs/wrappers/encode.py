@@ -28,7 +28,7 @@ from handover_marl.learning.array_features import ArrayFeatures
 from handover_marl.learning.custom_encodings import FeaturesLike, SchemeLike, is_reference
 from handover_marl.learning.encodings import make_array_features, make_array_scheme
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
-from handover_marl.learning.policy_spec import OBSERVATION
+from handover_marl.learning.policy_files import OBSERVATION
 
 DEFAULT_FEATURES = {GIVER: "giver", RECEIVER: "receiver"}
 DEFAULT_SCHEMES = {GIVER: "deviation", RECEIVER: "cartesian_delta"}

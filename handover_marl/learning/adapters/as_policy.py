@@ -18,8 +18,14 @@ from handover_marl.learning.adapters.export import is_sb3_model
 from handover_marl.learning.adapters.function_policy import FunctionPolicy, TorchFunction
 from handover_marl.learning.custom_encodings import FeaturesLike, SchemeLike
 from handover_marl.learning.encodings import check_encodings, list_features
-from handover_marl.learning.policy_files import complete_spec, read_policy
-from handover_marl.learning.policy_spec import OBSERVATION, RAW_ENCODINGS, DenseNetwork, PolicySpec
+from handover_marl.learning.policy_files import (
+    OBSERVATION,
+    RAW_ENCODINGS,
+    DenseNetwork,
+    PolicySpec,
+    complete_spec,
+    read_policy,
+)
 from handover_marl.policies.hashing import find_package, hash_object
 from handover_marl.policies.policy import Policy
 from handover_marl.policies.reference import PolicyReference

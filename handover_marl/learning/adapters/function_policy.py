@@ -13,13 +13,12 @@ from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import check_vector
 from handover_marl.errors import OptionError
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, ArrayFactory, to_numpy
+from handover_marl.learning.adaptive_giver import OFFER_FEATURES
 from handover_marl.learning.array_features import ArrayFeatures
 from handover_marl.learning.custom_encodings import CustomScheme
 from handover_marl.learning.encodings import list_features, make_array_features, make_array_scheme
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
-from handover_marl.learning.offers import OFFER_FEATURES
-from handover_marl.learning.policy_files import read_policy
-from handover_marl.learning.policy_spec import OBSERVATION, DenseNetwork, PolicySpec
+from handover_marl.learning.policy_files import OBSERVATION, DenseNetwork, PolicySpec, read_policy
 from handover_marl.policies.batch import ArrayPolicy
 from handover_marl.policies.policy import PolicyContext, milliseconds_from_wait
 

@@ -12,8 +12,7 @@ import handover_marl
 from handover_marl import receivers
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import DataFormatError, HandoverError, OptionError
-from handover_marl.learning.policy_files import read_policy
-from handover_marl.learning.policy_spec import PolicySpec
+from handover_marl.learning.policy_files import PolicySpec, read_policy
 
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
 sb3 = pytest.importorskip("stable_baselines3", reason="needs the extra `train`")

@@ -10,8 +10,7 @@ import pytest
 
 from handover_marl import evaluate_pair
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.learning.policy_files import read_policy, write_policy
-from handover_marl.learning.policy_spec import DenseNetwork, InputNormalization, PolicySpec
+from handover_marl.learning.policy_files import DenseNetwork, InputNormalization, PolicySpec, read_policy, write_policy
 from tests.helpers.short_episodes import shorten_episodes
 from tests.learning.training.scripts import REWARDS, script
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from handover_marl import receivers
-from handover_marl.learning.imitation.samples import join_samples, read_samples
+from handover_marl.learning.imitation.run import join_samples, read_samples
 from handover_marl.learning.policy_files import read_policy
 from tests.helpers.short_episodes import shorten_episodes
 from tests.learning.training.scripts import script

@@ -9,8 +9,7 @@ import pytest
 
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import ResultsError
-from handover_marl.learning.policy_files import write_policy
-from handover_marl.learning.policy_spec import DenseNetwork, PolicySpec
+from handover_marl.learning.policy_files import DenseNetwork, PolicySpec, write_policy
 from handover_marl.policies.reference import parse_policy
 from tests.learning.training.scripts import script
 

@@ -29,7 +29,7 @@ from handover_marl.learning.imitation.gaddpg.expert import (
     ImitationScenarios,
     find_occluded_points,
 )
-from handover_marl.learning.imitation.samples import stack_samples
+from handover_marl.learning.imitation.run import stack_samples
 from handover_marl.policies.policy import make_policy_context
 from handover_marl.receivers.gaddpg import GRIPPER_POINTS, PointCloudMemory
 from handover_marl.simulation.camera.images import JointSnapshot, SegmentationLabel

@@ -18,8 +18,7 @@ from torch import Tensor
 
 from handover_marl.datasets.dataset import Scene
 from handover_marl.geometry.panda import OPEN
-from handover_marl.learning.imitation.run import Batches, ImitationLearner, Network
-from handover_marl.learning.imitation.samples import stack_samples
+from handover_marl.learning.imitation.run import Batches, ImitationLearner, Network, stack_samples
 from handover_marl.learning.imitation.vision.views import RecordedViewRenderer, read_object_pose
 from handover_marl.learning.networks.point_segmentation_network import N_BODY_POINTS, PointSegmentationNetwork
 from handover_marl.learning.networks.segmentation_network import N_CLASSES, SegmentationNetwork

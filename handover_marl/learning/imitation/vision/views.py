@@ -21,7 +21,7 @@ from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import OPEN, WAITING_JOINTS
 from handover_marl.geometry.poses import compose, inverse_transform_points, invert_pose, transform_points
 from handover_marl.geometry.rotations import quaternions_from_euler
-from handover_marl.learning.imitation.samples import stack_samples
+from handover_marl.learning.imitation.run import stack_samples
 from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.planning.hand_tracker import HandTracker
 from handover_marl.planning.robot_clearance import Spheres, compute_grasp_clearances

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.datasets import open_dataset
 from handover_marl.errors import DataNotFoundError
-from handover_marl.learning.imitation.samples import generate_samples, get_samples_path, join_samples
+from handover_marl.learning.imitation.run import generate_samples, get_samples_path, join_samples
 from handover_marl.learning.imitation.vision.training import find_enclosed_centers, grasp_targets_from_poses
 from handover_marl.learning.imitation.vision.views import (
     MAX_OFFSET_GRASPS,
