@@ -196,7 +196,7 @@ class GiverMotion:
         """Start to play back a scene for the giver with index `row`; return its first frame as a motion of one row."""
         self._recorded.set_scene(row, scene)
         self._last_frame[row], self._pick_up[row] = scene.n_frames - 1, find_pick_up_frame(scene)
-        self._wrists_in_base[row] = self._arrays.asarray(find_wrist_in_base(scene))
+        self._wrists_in_base[row] = self._arrays.asarray(compute_wrist_in_base(read_tree(scene.assets.hand)))
         for values in self.state:
             values[row] = 0
         angles = np.stack([scene.hand_dof[0, _HALF:BASE_JOINTS], scene.object_dof[0, 0, _HALF:]])
@@ -381,20 +381,15 @@ def compute_recorded_poses(scene: Scene) -> npt.NDArray[np.float32]:
     """
     bases = np.stack([scene.hand_dof[:, :BASE_JOINTS], scene.object_dof[:, 0]], axis=1).astype(np.float64)
     poses = np.concatenate([bases[..., :_HALF], quaternions_from_euler(bases[..., _HALF:])], axis=-1)
-    poses[:, 0, :_HALF] += rotate_points(poses[:, 0, _HALF:], find_wrist_in_base(scene))
+    poses[:, 0, :_HALF] += rotate_points(poses[:, 0, _HALF:], compute_wrist_in_base(read_tree(scene.assets.hand)))
     poses[~scene.is_hand_present(np.arange(scene.n_frames)), 0] = 0.0
     return poses.astype(np.float32)
 
 
-def find_wrist_in_base(scene: Scene) -> npt.NDArray[np.float64]:
-    """Return the position (3,) of a scene's human wrist in the frame of the base of the hand's model (m)."""
-    wrist_in_base: npt.NDArray[np.float64] = _compute_wrist_in_base(read_tree(scene.assets.hand)).copy()
-    return wrist_in_base
-
-
 @functools.lru_cache(maxsize=64)
-def _compute_wrist_in_base(tree: KinematicTree) -> npt.NDArray[np.float64]:
-    origins, _ = tree.compute_link_frames(np.zeros((1, tree.n_dof)))
+def compute_wrist_in_base(hand: KinematicTree) -> npt.NDArray[np.float64]:
+    """Compute the position (3,) of a human wrist in the frame of the base of the hand's model (m)."""
+    origins, _ = hand.compute_link_frames(np.zeros((1, hand.n_dof)))
     wrist_in_base: npt.NDArray[np.float64] = origins[0, WRIST_LINK] - origins[0, _BASE_LINK]
     return wrist_in_base
 

@@ -14,14 +14,14 @@ from handover_marl.episode.giver_motion import (
     NEVER,
     NO_DEVIATION,
     GiverMotion,
+    compute_wrist_in_base,
     count_steps_until_pick_up,
     find_pick_up_frame,
-    find_wrist_in_base,
     requests_release,
 )
 from handover_marl.episode.wrist_offset import move_with_wrists, track_set_points
 from handover_marl.geometry.arrays import ArrayFactory, make_tensor_factory
-from handover_marl.geometry.kinematic_tree import compute_link_trajectory
+from handover_marl.geometry.kinematic_tree import compute_link_trajectory, read_tree
 from handover_marl.simulation.reference_tracking import WRIST_LINK, ReferenceMotion
 from tests.episode.one_giver import CONFIG, COUNT, HIGH, SCENES, OneGiver
 
@@ -52,7 +52,7 @@ def pose(dof: np.ndarray) -> tuple[np.ndarray, Rotation]:
 
 
 def wrist(motion: ReferenceMotion) -> np.ndarray:
-    return compute_wrist_positions(motion.hand, find_wrist_in_base(SCENE))
+    return compute_wrist_positions(motion.hand, compute_wrist_in_base(read_tree(SCENE.assets.hand)))
 
 
 def held() -> OneGiver:

@@ -92,11 +92,10 @@ class ThreadedEnvGroup:
 
     def reset(self, rows: Indices, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
         """Start episodes in the environments `rows` (r,), with a seed for each; see `batch.EnvGroup.reset`."""
-
-        def reset(group: EnvGroup, group_rows: Indices, indices: Indices) -> EnvResult:
-            return group.reset(group_rows, [seeds[index] for index in indices.tolist()], options)
-
-        return self._map(rows, reset)
+        return self._map(
+            rows,
+            lambda group, group_rows, indices: group.reset(group_rows, [seeds[one] for one in indices], options),
+        )
 
     def step(self, rows: Indices, actions: ByAgent) -> EnvResult:
         """Step the environments `rows` (r,) with checked actions (r, ...) by agent; see `batch.EnvGroup.step`."""

@@ -32,8 +32,6 @@ from handover_marl.simulation.engines import CPU, MUJOCO, THREADS, WARP, BatchBa
 #: Function or class that wraps the environment by a `pettingzoo.utils.BaseParallelWrapper`.
 WrapperFunction: TypeAlias = Callable[[WrappableEnv], WrappableEnv]
 AUTORESETS = tuple(mode.name.lower() for mode in AutoresetMode)
-#: Largest number of environments in a batch; each takes megabytes of memory.
-MAX_ENVS = 65_536
 # A scene takes 0.7 MB, and 5 ms to read.
 _CACHED_SCENES = 512
 
@@ -179,8 +177,6 @@ def vector_env(
     chosen_backend = BatchBackend(backend, device)
     check_backend(chosen_backend)
     count = check_positive_integer("num_envs", num_envs)
-    if count > MAX_ENVS:
-        raise OptionError(f"num_envs must be at most {MAX_ENVS}, got {num_envs}; run several processes")
     threads = None if threads is None else check_positive_integer("threads", threads)
     processes = None if processes is None else check_positive_integer("processes", processes)
     if None not in (threads, processes):

@@ -64,7 +64,6 @@ class EpisodeTrace:
         min_separation_margin: Smallest distance between robot and human hand minus the protective distance
             of `compute_protective_distances` (m); None if there is no hand.
         side: Side of the human hand, "right" or "left".
-        sample_steps: Physics steps between two samples.
     """
 
     gripper: Array
@@ -80,12 +79,11 @@ class EpisodeTrace:
     object_impulse: float = 0.0
     min_separation_margin: float | None = None
     side: str = "right"
-    sample_steps: int = SAMPLE_STEPS
 
     @property
     def period(self) -> float:
         """Time between two samples (s)."""
-        return self.sample_steps * TIME_STEP
+        return SAMPLE_STEPS * TIME_STEP
 
     @property
     def max_object_force(self) -> float:
@@ -104,7 +102,7 @@ class EpisodeTrace:
 
     def count_samples_until(self, step: int) -> int:
         """Return the number of samples from the start to a physics step, both included."""
-        return min(step // self.sample_steps + 1, len(self.gripper))
+        return min(step // SAMPLE_STEPS + 1, len(self.gripper))
 
 
 class TraceRecorder(EpisodeCallback):

@@ -46,8 +46,8 @@ require_pybullet("this", "take physics='mujoco'")
 with _silence_stderr():
     import pybullet
 
-#: Fields of a PyBullet contact point or closest point.
-CONTACT_BODY_B, CONTACT_LINK_A, CONTACT_POSITION_ON_A, CONTACT_DISTANCE, CONTACT_NORMAL_FORCE = 2, 3, 5, 8, 9
+#: Fields of a PyBullet contact point.
+CONTACT_BODY_B, CONTACT_LINK_A, CONTACT_POSITION_ON_A, CONTACT_NORMAL_FORCE = 2, 3, 5, 9
 
 # Functions of PyBullet that read model files.
 _FILE_READERS = ("createCollisionShape", "createVisualShape", "loadURDF")
