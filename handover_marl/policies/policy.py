@@ -5,7 +5,7 @@ import inspect
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, is_dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
@@ -326,26 +326,23 @@ def override_options(config: _Config, options: Mapping[str, object]) -> _Config:
         options: Numbers by name: a field of the configuration, such as `near_period`, or a field of one of its
             sections after the name of the section, such as `approach_standoff`.
     """
-    values = {field.name: getattr(config, field.name) for field in fields(config)}  # type: ignore[arg-type]
-    sections = {name: section for name, section in values.items() if is_dataclass(section)}
-    numbers = [name for name, value in values.items() if _is_number(value)]
-    for section_name, section in sections.items():
-        numbers += [
-            f"{section_name}_{each.name}" for each in fields(section) if _is_number(getattr(section, each.name))
-        ]
-    changed: Any = config
-    for name, value in options.items():
-        start, _, rest = name.partition("_")
-        section_name, field_name = (start, rest) if start in sections else ("", name)
-        section = getattr(changed, section_name) if section_name else changed
-        if name not in numbers:
-            raise UnknownNameError("option", name, numbers, "docs/reference/policies.md has the others")
-        known = getattr(section, field_name)
+    sections: dict[str, Any] = {name: part for name, part in vars(config).items() if is_dataclass(part)}
+    parts = {"": config} | {f"{name}_": part for name, part in sections.items()}
+    numbers = {
+        prefix + name: (prefix, name)
+        for prefix, part in parts.items()
+        for name, value in vars(part).items()
+        if _is_number(value)
+    }
+    for option, value in options.items():
+        if option not in numbers:
+            raise UnknownNameError("option", option, list(numbers), "docs/reference/policies.md has the others")
+        prefix, name = numbers[option]
+        known = getattr(parts[prefix], name)
         if isinstance(value, bool) or not isinstance(value, (int, type(known))) or not math.isfinite(value):
-            raise OptionError(f"{name} must be a finite {type(known).__name__}, got {value!r}")
-        section = replace(section, **{field_name: value})
-        changed = replace(changed, **{section_name: section}) if section_name else section
-    return changed  # type: ignore[no-any-return]
+            raise OptionError(f"{option} must be a finite {type(known).__name__}, got {value!r}")
+        parts[prefix] = replace(parts[prefix], **{name: value})
+    return replace(parts[""], **{name: parts[f"{name}_"] for name in sections})  # type: ignore[no-any-return]
 
 
 def _is_number(value: object) -> bool:

@@ -34,7 +34,7 @@ class FunctionPolicy(ArrayPolicy):
         spec: Agent, and encoding of inputs and outputs.
         name: Name of the policy in tables and errors.
         label: Unique label of the policy in result files.
-        digest: Hash of function and encoding, which becomes `weights_hash`.
+        digest: Hash of function, weights and encoding, which becomes `weights_hash`.
         wait: Time for which the robot stays at its waiting pose at the start of an episode (s);
             default: that of the action scheme. Only action schemes that wait have this option.
 
@@ -42,7 +42,10 @@ class FunctionPolicy(ArrayPolicy):
         function: Function from inputs to outputs.
         scheme: Action scheme that decodes the outputs.
         spec: Agent, and encoding of inputs and outputs.
+        label, weights_hash: Unique label of the policy in result files, and `digest`.
     """
+
+    label, weights_hash = "", ""
 
     def __init__(
         self,
@@ -56,7 +59,7 @@ class FunctionPolicy(ArrayPolicy):
     ) -> None:
         super().__init__(context)
         self.name = name  # type: ignore[misc]
-        self.obs_mode, self._label, self._digest = spec.obs_mode, label, digest
+        self.obs_mode, self.label, self.weights_hash = spec.obs_mode, label, digest
         self.function, self.spec, self._wait = function, spec, wait
         self.allocate(1, NUMPY_ARRAYS)
         if isinstance(function, DenseNetwork):
@@ -83,16 +86,6 @@ class FunctionPolicy(ArrayPolicy):
                     f"{self.name}: action scheme {self.scheme.name!r} has no wait; remove wait={self._wait}"
                 )
             self.scheme.wait = milliseconds_from_wait(self._wait) / 1000.0
-
-    @property
-    def label(self) -> str:
-        """Unique label of the policy in result files: its name, and a hash unless a name was given."""
-        return self._label
-
-    @property
-    def weights_hash(self) -> str:
-        """Hash of the function, its weights and the encoding, as the constructor got it; empty by default."""
-        return self._digest
 
     @property
     def wait(self) -> float:
@@ -200,14 +193,10 @@ class TorchFunction:
 
         from handover_marl.learning.networks.weights import single_threaded_inference
 
-        before = torch.get_rng_state()
-        torch.set_rng_state(self._random_state)
-        try:
-            with single_threaded_inference():
-                outputs = self.module(self._make_batch(inputs))
-        finally:
+        with torch.random.fork_rng(devices=[]), single_threaded_inference():
+            torch.set_rng_state(self._random_state)
+            outputs = self.module(self._make_batch(inputs))
             self._random_state = torch.get_rng_state()
-            torch.set_rng_state(before)
         if not isinstance(outputs, torch.Tensor):
             return outputs
         outputs = outputs.detach().cpu()

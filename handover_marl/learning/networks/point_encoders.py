@@ -6,7 +6,6 @@ the same points as the CUDA kernels of pointnet2_ops (Wijmans, 2018), with which
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
@@ -69,25 +68,6 @@ def gather_columns(values: Tensor, indices: Tensor) -> Tensor:
     return values.gather(2, flat).reshape(*values.shape[:2], *indices.shape[1:])
 
 
-@dataclass(frozen=True)
-class BallGrouping:
-    """Grouping of points for a set abstraction: balls around centers from farthest point sampling.
-
-    Attributes:
-        centers: Number of sampled points, the centers of the balls.
-        radius: Radius of the balls (m).
-        neighbors: Number of points per ball.
-    """
-
-    centers: int
-    radius: float
-    neighbors: int
-
-
-#: Groupings of the first two set abstractions of GA-DDPG's encoder; the third has one group of all points.
-GADDPG_GROUPINGS = (BallGrouping(32, 0.02, 64), BallGrouping(32, 0.04, 128))
-
-
 class SetAbstraction(nn.Module):
     """Shared multilayer perceptron on groups of points, followed by max pooling.
 
@@ -95,12 +75,14 @@ class SetAbstraction(nn.Module):
 
     Args:
         channels: Number of input channels without the position, then the width of every layer.
-        grouping: Grouping of the points; None makes one group of all points.
+        n_groups: Number of groups, balls around centers from farthest point sampling; 0 makes one of all points.
+        radius: Radius of the balls (m).
+        group_size: Number of points per ball.
     """
 
-    def __init__(self, channels: Sequence[int], grouping: BallGrouping | None = None) -> None:
+    def __init__(self, channels: Sequence[int], n_groups: int = 0, radius: float = 0.0, group_size: int = 0) -> None:
         super().__init__()
-        self.grouping = grouping
+        self.n_groups, self.radius, self.group_size = n_groups, radius, group_size
         widths = (channels[0] + 3, *channels[1:])
         layers: list[nn.Module] = []
         for before, after in itertools.pairwise(widths):
@@ -119,16 +101,15 @@ class SetAbstraction(nn.Module):
             (B, channels[-1], M) features of the groups.
         """
         xyz = positions.transpose(1, 2)
-        if self.grouping is None:
+        if not self.n_groups:
             centers = positions.new_zeros((len(positions), 1, 3))
             groups = torch.cat([xyz, features], dim=1)[:, :, None]
         else:
-            columns = gather_columns(xyz, sample_farthest_points(positions, self.grouping.centers))
+            columns = gather_columns(xyz, sample_farthest_points(positions, self.n_groups))
             centers = columns.transpose(1, 2)
-            count = self.grouping.neighbors
             # Repeated points do not change the maximum of a group, but take time in a training.
-            count = min(count, positions.shape[1]) if self.training else count
-            near = query_ball(positions, centers, self.grouping.radius, count)
+            count = min(self.group_size, positions.shape[1]) if self.training else self.group_size
+            near = query_ball(positions, centers, self.radius, count)
             relative = gather_columns(xyz, near) - columns[..., None]
             groups = torch.cat([relative, gather_columns(features, near)], dim=1)
         return centers, self.mlps[0](groups).amax(dim=-1)
@@ -147,8 +128,8 @@ class PointNetPlusPlus(nn.Module):
         super().__init__()
         self.stages = nn.ModuleList(
             [
-                SetAbstraction((4, 64, 64, 128), GADDPG_GROUPINGS[0]),
-                SetAbstraction((128, 128, 128, 256), GADDPG_GROUPINGS[1]),
+                SetAbstraction((4, 64, 64, 128), 32, 0.02, 64),
+                SetAbstraction((128, 128, 128, 256), 32, 0.04, 128),
                 SetAbstraction((256, 256, 256, 512)),
             ]
         )
