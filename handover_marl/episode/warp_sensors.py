@@ -12,7 +12,7 @@ from handover_marl.episode.camera_observations import (
     count_clouds,
 )
 from handover_marl.episode.observations import Observation
-from handover_marl.episode.spaces import IMAGES, POINT_MAP, SCENE_POINTCLOUD, parse_obs_mode
+from handover_marl.episode.spaces import IMAGES, POINT_MAP, parse_obs_mode
 from handover_marl.geometry.arrays import AnyArray, ArrayFactory
 from handover_marl.simulation.camera.optics import compute_points, make_pinhole
 from handover_marl.simulation.world import WorldState
@@ -98,7 +98,7 @@ class WarpSensors:
 
     def _observe_clouds(self, rows: AnyArray, states: WorldState, steps: AnyArray, camera: CameraConfig) -> Observation:
         xp, clouds, counts, pinhole = self._arrays.xp, {}, [], make_pinhole(camera)
-        images = self._camera.render_targets(rows, states, SCENE_POINTCLOUD in self._parts, pinhole)
+        images = self._camera.render(rows, states, False, pinhole, [label for _, label, _ in CLOUDS[: self._n_clouds]])
         for key, label, stream_id in CLOUDS[: self._n_clouds]:
             counts.append(xp.sum(images.segmentation == int(label), axis=1))
             pixels = self._camera.sample_pixels(images, label, N_POINTS, self._seeds[rows], steps, stream_id)

@@ -117,8 +117,6 @@ class MeshBuffers:
         return self.identifiers.extend(np.array([identifier], dtype=np.uint64).view(np.int64))
 
 
-_TARGETS = (SegmentationLabel.TARGET, SegmentationLabel.HAND)
-_OBJECTS = (*_TARGETS, SegmentationLabel.OTHER_OBJECT)
 # Entries of a mesh slot of a world: number of the mesh, number of its frame, and segmentation label.
 _MESH, _FRAME, _LABEL = range(3)
 
@@ -194,21 +192,41 @@ class WarpCamera:
         self._slots[row] = 0
         self._slots[row, : len(slots)] = self._arrays.asarray(np.array(slots))
 
-    def render(self, rows: AnyArray, states: WorldState, color: bool, camera: Pinhole = WRIST_CAMERA) -> ImageBatch:
-        """Render images of the worlds `rows` (r,) in `states` (r, ...), with all bodies of the scenes.
-
-        With `color`, images have the colours of the models' materials and textures in PyBullet's light.
-        """
-        return self._render(rows, states, tuple(SegmentationLabel), color, camera)
-
-    def render_targets(
-        self, rows: AnyArray, states: WorldState, with_others: bool = False, camera: Pinhole = WRIST_CAMERA
+    def render(
+        self,
+        rows: AnyArray,
+        states: WorldState,
+        color: bool,
+        camera: Pinhole = WRIST_CAMERA,
+        labels: Sequence[SegmentationLabel] = tuple(SegmentationLabel),
     ) -> ImageBatch:
-        """Render the visible pixels of target objects and hands of the worlds `rows` (r,) in `states` (r, ...).
+        """Render images of the worlds `rows` (r,) in `states` (r, ...).
 
-        With `with_others`, pixels of the other objects are rendered, too. All other pixels are background.
+        With `color`, images have the colours of the models' materials and textures in PyBullet's light. Only visible
+        pixels of bodies with `labels` are rendered, and those of the ground if `BACKGROUND` is one of these.
         """
-        return self._render(rows, states, _OBJECTS if with_others else _TARGETS, False, camera)
+        if self._mesh_buffers is None:
+            raise ResetNeededError("no world has a scene; call reset() first")
+        arrays, xp = self._arrays, self._arrays.xp
+        with self._device.use():
+            if color:
+                self._mesh_buffers.read_colors()
+            inputs = self._make_kernel_inputs(self._mesh_buffers, rows, states, camera)
+            shape = (len(rows), camera.n_pixels)
+            depth = xp.empty(shape, dtype=xp.float32, device=arrays.device)
+            segmentation = xp.empty(shape, dtype=xp.uint8, device=arrays.device)
+            rgb = xp.empty((*shape, 3) if color else (0, 0, 3), dtype=xp.uint8, device=arrays.device)
+            warp.launch(
+                render_images,
+                shape,
+                [
+                    *(*inputs, sum(1 << label for label in labels), SegmentationLabel.BACKGROUND in labels),
+                    *(camera.width, warp.vec4(*camera.focal, *camera.principal)),
+                    *(camera.near, float(camera.empty_depth)),
+                ],
+                [warp.from_torch(tensor) for tensor in (depth, segmentation, rgb)],
+            )
+        return ImageBatch(depth, segmentation, rgb if color else None)
 
     def sample_pixels(
         self, images: ImageBatch, label: SegmentationLabel, limit: int, seeds: AnyArray, steps: AnyArray, stream_id: int
@@ -244,32 +262,6 @@ class WarpCamera:
         self._device.synchronize()
         self._mesh_buffers = None
         self._slots = self._slots[:, :0]
-
-    def _render(
-        self, rows: AnyArray, states: WorldState, labels: tuple[SegmentationLabel, ...], color: bool, camera: Pinhole
-    ) -> ImageBatch:
-        if self._mesh_buffers is None:
-            raise ResetNeededError("no world has a scene; call reset() first")
-        arrays, xp = self._arrays, self._arrays.xp
-        with self._device.use():
-            if color:
-                self._mesh_buffers.read_colors()
-            inputs = self._make_kernel_inputs(self._mesh_buffers, rows, states, camera)
-            shape = (len(rows), camera.n_pixels)
-            depth = xp.empty(shape, dtype=xp.float32, device=arrays.device)
-            segmentation = xp.empty(shape, dtype=xp.uint8, device=arrays.device)
-            rgb = xp.empty((*shape, 3) if color else (0, 0, 3), dtype=xp.uint8, device=arrays.device)
-            warp.launch(
-                render_images,
-                shape,
-                [
-                    *(*inputs, sum(1 << label for label in labels), SegmentationLabel.BACKGROUND in labels),
-                    *(camera.width, warp.vec4(*camera.focal, *camera.principal)),
-                    *(camera.near, float(camera.empty_depth)),
-                ],
-                [warp.from_torch(tensor) for tensor in (depth, segmentation, rgb)],
-            )
-        return ImageBatch(depth, segmentation, rgb if color else None)
 
     def _make_kernel_inputs(
         self, buffers: MeshBuffers, rows: AnyArray, states: WorldState, camera: Pinhole
