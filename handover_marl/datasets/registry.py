@@ -63,18 +63,22 @@ def open_dataset(dataset: str = AUTO, data_dir: str | os.PathLike[str] | None = 
     kind, argument = _split_name(dataset)
     # DexYCB needs none of the imports of the others, which take long.
     if kind == "dexycb":
-        return _open_dexycb(given, robot)
+        folder = given or os.environ.get(DATA_DIR_VARIABLE)
+        if not folder:
+            raise DataNotFoundError(
+                "no data folder given. Set data_dir=, --data-dir or HANDOVER_MARL_DATA to a folder in HandoverSim's "
+                "layout (dex-ycb-cache/ and assets/), or take the synthetic scenes (dataset='synthetic')."
+            )
+        return OfficialDataset(check_path("data_dir", folder).resolve(), robot)
     if kind == "own":
         from handover_marl.datasets.custom.dataset import CustomDataset
 
-        folder = check_path("dataset" if given is None else "data_dir", given or argument).resolve()
-        dataset_in_folder = CustomDataset(folder, robot)
-        name = dataset_in_folder.content.name
-        if given is not None and argument != name:
+        own = CustomDataset(check_path("dataset" if given is None else "data_dir", given or argument).resolve(), robot)
+        if given is not None and argument != own.content.name:
             raise OptionError(
-                f"data_dir must hold the scenes {argument!r}, got {folder} with {name!r}; pass their folder"
+                f"data_dir must hold the scenes {argument!r}, got {given} with {own.content.name!r}; pass their folder"
             )
-        return dataset_in_folder
+        return own
     if given is not None:
         raise OptionError(f"{kind} scenes need no data folder, but data_dir is {given}; leave one of them out")
     if kind == "generated":
@@ -84,20 +88,6 @@ def open_dataset(dataset: str = AUTO, data_dir: str | os.PathLike[str] | None = 
     from handover_marl.datasets.synthetic import SyntheticDataset
 
     return SyntheticDataset(robot)
-
-
-def _open_dexycb(data_dir: str | None, robot: str) -> Dataset:
-    chosen = data_dir or os.environ.get(DATA_DIR_VARIABLE)
-    if not chosen:
-        raise DataNotFoundError(
-            "no data folder given. Set data_dir=, --data-dir or HANDOVER_MARL_DATA to a folder in HandoverSim's "
-            "layout (dex-ycb-cache/ and assets/), or take the synthetic scenes (dataset='synthetic')."
-        )
-    try:
-        folder = check_path("data_dir", chosen).resolve()
-    except (OSError, ValueError, RuntimeError) as error:
-        raise DataNotFoundError(f"data folder {str(chosen)[:200]!r} cannot be used ({error})") from error
-    return OfficialDataset(folder, robot)
 
 
 def _split_name(name: str) -> tuple[str, str]:

@@ -5,24 +5,22 @@ import os
 from dataclasses import dataclass, replace
 
 from handover_marl.errors import ResultsError
-from handover_marl.evaluation.reports.episode_tables import (
-    SCENE_HEADER,
-    build_fluency_table,
-    count_status,
-    format_scene_cells,
-)
 from handover_marl.evaluation.reports.report import Report, load_report
 from handover_marl.evaluation.reports.tables import (
     AVERAGE_SUCCESS,
     FLUENCY,
     REPORTED_STATUSES,
+    SCENE_HEADER,
     ReportTable,
     TabularResult,
+    build_fluency_table,
+    count_status,
     estimate_average_success,
     estimate_mean,
     estimate_paired_difference,
     estimate_rate,
     format_percent_rate,
+    format_scene_cells,
 )
 from handover_marl.evaluation.results import EpisodeResult
 

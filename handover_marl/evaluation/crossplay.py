@@ -15,7 +15,6 @@ from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError, ResultsError
 from handover_marl.evaluation.benchmark import run_evaluations
 from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig, build_configs, format_inference_time
-from handover_marl.evaluation.reports.episode_tables import estimate_fluency
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.tables import (
     AVERAGE_SUCCESS,
@@ -30,6 +29,7 @@ from handover_marl.evaluation.reports.tables import (
     Estimate,
     ReportTable,
     TabularResult,
+    estimate_fluency,
     estimate_paired_difference,
     format_csv,
     format_percent_rate,

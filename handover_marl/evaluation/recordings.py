@@ -36,13 +36,11 @@ COLUMNS = (
 class TraceWriter(EpisodeWriter):
     """Writer of the time series of each episode, as a CSV file with the columns `COLUMNS`."""
 
+    suffix = ".csv"
+
     def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
         """Return a callback that does nothing, and the function that returns the content of an episode's CSV file."""
         return EpisodeCallback(), lambda _, trace: format_trace(trace).encode()
-
-    def get_path(self, result: EpisodeResult) -> Path:
-        """Return the path of an episode's CSV file, which is named after the scene: `traces/209.csv`."""
-        return self.path / f"{result.scene_id or 0:03d}.csv"
 
 
 def format_trace(trace: EpisodeTrace) -> str:
@@ -85,6 +83,8 @@ def format_replay_facts(config: EvaluationConfig, models: str) -> str:
 class ReplayWriter(EpisodeWriter):
     """Writer of replay pages of all episodes (`replays` is "all") or failed ones ("failed") in a result folder."""
 
+    suffix = ".html"
+
     def __init__(self, folder: Path, replays: str) -> None:
         super().__init__(folder / REPLAYS)
         self._include_successes = replays == REPLAYS_ALL
@@ -103,7 +103,3 @@ class ReplayWriter(EpisodeWriter):
     def contains(self, result: EpisodeResult) -> bool:
         """Return whether the page of an episode exists, or is not requested."""
         return (result.success and not self._include_successes) or super().contains(result)
-
-    def get_path(self, result: EpisodeResult) -> Path:
-        """Return the path of an episode's replay page, which is named after the scene: `episodes/209.html`."""
-        return self.path / f"{result.scene_id or 0:03d}.html"

@@ -26,9 +26,12 @@ from handover_marl.episode.spaces import giver_action_space, receiver_action_spa
 from handover_marl.evaluation.comparison import Comparison
 from handover_marl.evaluation.crossplay import CrossPlay
 from handover_marl.evaluation.reports import tables
-from handover_marl.evaluation.reports.episode_tables import SCENE_HEADER, build_scene_table
 from handover_marl.evaluation.reports.report import Report, render_report_page
-from handover_marl.evaluation.reports.tables import Column
+from handover_marl.evaluation.reports.tables import (
+    SCENE_HEADER,
+    Column,
+    build_scene_table,
+)
 from handover_marl.evaluation.verification import Difference, Verification
 from tests.docs.pages import PAGES, REPOSITORY, checked_table, marks
 from tests.evaluation.quick import make_report

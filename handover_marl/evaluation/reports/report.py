@@ -19,33 +19,31 @@ from handover_marl.episode.spaces import STATE
 from handover_marl.errors import ResultsError
 from handover_marl.evaluation.config import format_inference_time
 from handover_marl.evaluation.metadata import OFFICIAL_WORLD, ResultMetadata, read_result_metadata
-from handover_marl.evaluation.reports.episode_tables import (
-    FLUENCY_NOTE,
-    SCENE_HEADER,
-    build_fluency_table,
-    build_object_table,
-    build_scene_table,
-    count_status,
-    estimate_fluency,
-    format_scene_cells,
-    get_scene_header,
-)
 from handover_marl.evaluation.reports.published import SOURCES, PublishedResult, find_published_results
 from handover_marl.evaluation.reports.tables import (
     AVERAGE_SUCCESS,
     FLUENCY,
+    FLUENCY_NOTE,
     NO_VALUE,
     RATES,
     REPORTED_STATUSES,
+    SCENE_HEADER,
     TIMES,
     WAIT,
     Estimate,
     ReportTable,
     TabularResult,
+    build_fluency_table,
+    build_object_table,
+    build_scene_table,
+    count_status,
     estimate_average_success,
+    estimate_fluency,
     estimate_mean,
     estimate_rate,
     format_csv,
+    format_scene_cells,
+    get_scene_header,
 )
 from handover_marl.evaluation.results import (
     REPLAYS,

@@ -16,16 +16,14 @@ from handover_marl.evaluation.crossplay import crossplay, resolve_policies
 from handover_marl.evaluation.reports.tables import N_EPISODES, ReportTable, TabularResult
 from handover_marl.evaluation.strangers.report import (
     COLUMNS,
-    ENTRY_FILE,
     NOTE,
     OTHER_AGENT,
     StrangersReport,
+    estimate_mean_score,
     list_differences,
     make_report,
-    read_entry,
     read_report,
 )
-from handover_marl.evaluation.strangers.scores import compute_mean, estimate_difference
 from handover_marl.execution.files import shorten_text, write_atomically
 from handover_marl.execution.options import check_path, forward_signature, require_modules
 from handover_marl.policies.populations import DEFAULT_POPULATION, load_population
@@ -67,8 +65,7 @@ def strangers(
 
     Raises:
         OptionError: Not exactly one of receiver and giver is given, two trainings are the same, the world or the rules
-            are not the official ones, the population has no partners in the split, or the output folder holds another
-            evaluation.
+            are not the official ones, or the population has no partners in the split.
         HandoverError: The same errors as `crossplay` and `load_population`.
     """
     if not isinstance(setup, EvaluationConfig):
@@ -91,22 +88,14 @@ def strangers(
     if config.scenes is None:
         scenes = dataset.list_scenes(dataset.resolve_setup(config.setup), config.split)
         config = replace(config, scenes=select_scenes_evenly(scenes, n_scenes))
-    folder = execution.folder
-    if folder is not None and not execution.overwrite and (folder / ENTRY_FILE).is_file():
-        entry = read_entry(folder)
-        if (entry["population"], entry["partner_split"]) != (found.label, partners):
-            raise OptionError(
-                f"out must be a folder for population {found.label}, families of {partners}, got {folder} with "
-                f"{entry['population']}, families of {entry['partner_split']}; choose another folder"
-            )
     trainings = resolve_policies(agent, policies, dataset, config, execution.trust)
     if len({policy.code_hash for policy in trainings}) < len(trainings):
         raise OptionError(f"{agent} must name different policies, got two with the same code and weights; drop one")
     givers, receivers = (trainings, others) if agent == "giver" else (others, trainings)
     result = crossplay(givers, receivers, config, execution=execution)
     report = make_report(result, found, partners, agent)
-    if folder is not None:
-        report.write(folder)
+    if execution.folder is not None:
+        report.write(execution.folder)
     return report
 
 
@@ -161,7 +150,7 @@ class Leaderboard(TabularResult):
             best, base = baselines.setdefault(split, (name, report))
             if report is not base:
                 arrays = [(getattr(base, kind), getattr(report, kind)) for kind in ("successes", "contacts", "scores")]
-                gains = [estimate_difference(compute_mean, *pair, base.partner_families) for pair in arrays]
+                gains = [estimate_mean_score(first, base.partner_families, second) for first, second in arrays]
                 differences.append([best, name, split, *(gain.format("+.1f") for gain in gains)])
         families = [
             [family, *(f"{100 * report.successes[:, chosen].mean():.1f}" for report in self.reports.values())]

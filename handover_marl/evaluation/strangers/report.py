@@ -1,6 +1,14 @@
-"""Report of an evaluation with unseen partners, and its output folder.
+"""Report of an evaluation with unseen partners, its output folder, and 95 % intervals of scores by a jackknife.
 
 An output folder is one of `crossplay`, with the population and the agent of the evaluated policies in `strangers.json`.
+
+Arrays of scores have the axes policies (several trainings of one method), partners and scenes.
+
+An interval is a statistic plus and minus a standard error times a quantile of Student's distribution. The squared
+standard error is the sum of the jackknife variances (Efron and Stein, Annals of Statistics 9(3), 1981) when policies,
+families of partners and scenes are left out one at a time; its degrees of freedom are Satterthwaite's. The interval of
+a rate is Wilson's with the same quantile, for the number of independent episodes that have this standard error (Korn
+and Graubard, Survey Methodology 24(2), 1998). Percentiles of a bootstrap are too narrow for six families.
 """
 
 import functools
@@ -12,11 +20,11 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError, ResultsError
 from handover_marl.evaluation.crossplay import CrossPlay, PolicyPair, format_pair_folder, read_pairs
-from handover_marl.evaluation.reports.episode_tables import estimate_fluency
 from handover_marl.evaluation.reports.report import Report, load_report
 from handover_marl.evaluation.reports.tables import (
     AVERAGE_SUCCESS,
@@ -27,21 +35,17 @@ from handover_marl.evaluation.reports.tables import (
     ReportTable,
     TabularResult,
     estimate_average_success,
+    estimate_fluency,
     format_percent_rate,
 )
 from handover_marl.evaluation.results import EpisodeResult
-from handover_marl.evaluation.strangers.scores import (
-    compute_max_over_partners,
-    compute_mean,
-    compute_min_over_partners,
-    estimate,
-    estimate_rate,
-)
 from handover_marl.execution.files import shorten_text, write_atomically
 from handover_marl.execution.reading import read_plain_file
 from handover_marl.policies.populations import Partner, Population
 
 Array = npt.NDArray[np.float64]
+#: Function from the rates (partners,) with the partners to a number, such as `np.min` for the worst partner.
+Statistic = Callable[[Array], np.floating]
 ENTRY_FILE, TABLES_FILE = "strangers.json", "strangers.md"
 _CONDITION = ("dataset", "setup", "split", "physics", "seed", "world", "version")
 _ENTRY = ("population", "partner_split", "agent")
@@ -132,18 +136,18 @@ class StrangersReport(TabularResult):
     def estimate_all(self) -> dict[str, Estimate]:
         """Return estimates (0..1) of the metrics of a method, by the keys of `COLUMNS`."""
         return self._estimate_means(range(len(self.partners))) | {
-            "worst_partner_success": estimate_rate(compute_min_over_partners, self.successes, None),
-            "largest_partner_contact": estimate_rate(compute_max_over_partners, self.contacts, None),
+            "worst_partner_success": estimate_rate(np.min, self.successes, None),
+            "largest_partner_contact": estimate_rate(np.max, self.contacts, None),
         }
 
     def _estimate_means(self, indices: Sequence[int]) -> dict[str, Estimate]:
         """Return estimates of success, contact and AS over the partners with some `indices`, by key."""
         families = [self.partners[number].family for number in indices]
-        success = estimate_rate(compute_mean, self.successes[:, indices], families)
-        score = estimate(compute_mean, self.scores[:, indices], families)
+        success = estimate_rate(np.mean, self.successes[:, indices], families)
+        score = estimate_mean_score(self.scores[:, indices], families)
         return {
             "success": success,
-            "contact": estimate_rate(compute_mean, self.contacts[:, indices], families),
+            "contact": estimate_rate(np.mean, self.contacts[:, indices], families),
             # Without a success the jackknife has no width, as in `estimate_average_success`.
             AVERAGE_SUCCESS.key: score if score.mean else replace(score, interval_95=success.interval_95),
         }
@@ -230,13 +234,13 @@ def make_report(crossplay: CrossPlay, population: Population, split: str, agent:
     return StrangersReport(population.label, split, agent, names, partners, reports)
 
 
-def read_entry(folder: Path) -> dict[str, str]:
-    """Read population, split and agent from a folder's `strangers.json`, by key; raise `ResultsError` if that fails."""
+def read_report(folder: Path, population: Population) -> StrangersReport:
+    """Compute the report of an output folder of `strangers` from the stored results of its episodes."""
     path = folder / ENTRY_FILE
     try:
         content = json.loads(read_plain_file(path, _MAX_BYTES))
-        entry = {key: str(content[key]) for key in _ENTRY}
-        if entry["agent"] not in OTHER_AGENT:
+        name, split, agent = (str(content[key]) for key in _ENTRY)
+        if agent not in OTHER_AGENT:
             raise ValueError(f"agent must be one of {', '.join(OTHER_AGENT)}")
     except FileNotFoundError as error:
         raise ResultsError(
@@ -245,17 +249,9 @@ def read_entry(folder: Path) -> dict[str, str]:
         ) from error
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise ResultsError(f"{path}: not a readable evaluation with strangers ({shorten_text(error)})") from error
-    return entry
-
-
-def read_report(folder: Path, population: Population) -> StrangersReport:
-    """Compute the report of an output folder of `strangers` from the stored results of its episodes."""
-    entry = read_entry(folder)
-    if entry["population"] != population.label:
-        raise OptionError(
-            f"{folder} must be of population {population.label}, got {entry['population']}; pass the population's file"
-        )
-    return make_report(_load_crossplay(folder), population, entry["partner_split"], entry["agent"])
+    if name != population.label:
+        raise OptionError(f"{folder} must be of population {population.label}, got {name}; pass the population's file")
+    return make_report(_load_crossplay(folder), population, split, agent)
 
 
 def _load_crossplay(folder: Path) -> CrossPlay:
@@ -271,3 +267,65 @@ def _load_crossplay(folder: Path) -> CrossPlay:
                 "run the same command to resume"
             )
     return CrossPlay(reports)
+
+
+def estimate_mean_score(scores: Array, families: Sequence[str] | None, minus: Array | None = None) -> Estimate:
+    """Estimate the mean of scores (policies, partners, scenes), 0 to 1, with a 95 % interval.
+
+    The jackknife leaves out policies, scenes and families of partners one at a time, or partners if there is one
+    family. `families` has the family of each partner; with None, no partner is left out, as for the worst partner.
+    With the scores of another method, `minus`, the difference of the means is estimated, paired by partner and scene;
+    the numbers of policies may differ.
+    """
+
+    def compute(own: Array, *others: Array) -> float:
+        return float(own.mean() - sum(other.mean() for other in others))
+
+    value, error, quantile = _apply_jackknife(compute, [scores] if minus is None else [scores, minus], families)
+    low, high = value - quantile * error, value + quantile * error
+    return Estimate(value, (max(0.0 if minus is None else -1.0, low), min(1.0, high)), scores.size)
+
+
+def estimate_rate(statistic: Statistic, flags: Array, families: Sequence[str] | None) -> Estimate:
+    """Estimate a rate of outcomes (policies, partners, scenes), 0 or 1, with an interval as wide as Wilson's or wider.
+
+    Families are as in `estimate_mean_score`; None is for the rate with one of the partners, e.g. the worst.
+    """
+    value, error, quantile = _apply_jackknife(
+        lambda own: float(statistic(own.mean(axis=2).mean(axis=0))), [flags], families
+    )
+    n = flags.size if families is not None else flags.size // flags.shape[1]
+    weight = quantile**2 / (min(n, value * (1.0 - value) / error**2) if error else n)
+    center = (value + weight / 2.0) / (1.0 + weight)
+    half = np.sqrt(weight * value * (1.0 - value) + weight**2 / 4.0) / (1.0 + weight)
+    return Estimate(value, (max(0.0, float(center - half)), min(1.0, float(center + half))), n)
+
+
+def _apply_jackknife(
+    compute: Callable[..., float], methods: list[Array], families: Sequence[str] | None
+) -> tuple[float, float, float]:
+    """Return the value of `compute` for the methods' scores, its standard error, and Student's 97.5 % quantile."""
+    shape = methods[0].shape
+    everywhere = range(len(methods))
+    # Which arrays vary together, along which axis, and the index sets that are left out one at a time.
+    variations: list[tuple[Sequence[int], int, list[list[int]]]] = [(everywhere, 2, _group(range(shape[2])))]
+    variations += [([number], 0, _group(range(len(method)))) for number, method in enumerate(methods)]
+    if families is not None:
+        variations.append((everywhere, 1, _group(families if len(set(families)) > 1 else range(shape[1]))))
+    variances, freedoms = [], []
+    for chosen, axis, groups in variations:
+        if len(groups) > 1:
+            values = [
+                compute(*(np.delete(each, group, axis) if n in chosen else each for n, each in enumerate(methods)))
+                for group in groups
+            ]
+            freedoms.append(len(groups) - 1)
+            variances.append(freedoms[-1] * np.var(values))
+    variance = np.array(variances)
+    freedom = variance.sum() ** 2 / (variance**2 / freedoms).sum() if variance.any() else np.inf
+    return compute(*methods), float(np.sqrt(variance.sum())), float(scipy.stats.t.ppf(0.975, freedom))
+
+
+def _group(labels: Sequence[object]) -> list[list[int]]:
+    """Return one list for each different label: the indices of its entries."""
+    return [[n for n, label in enumerate(labels) if label == one] for one in dict.fromkeys(labels)]
