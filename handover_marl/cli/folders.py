@@ -25,16 +25,26 @@ from handover_marl.cli.options import (
 )
 from handover_marl.cli.streams import print_tables
 from handover_marl.config import HAND_DOF, OBJECT_DOF, PANDA_DOF
+from handover_marl.datasets import DATA_DIR_VARIABLE
+from handover_marl.datasets.official import OfficialDataset
+from handover_marl.datasets.splits import N_SCENES
 from handover_marl.errors import HandoverError, OptionError
+from handover_marl.evaluation.comparison import compare
+from handover_marl.evaluation.demonstrations.convert import convert_to_lerobot, convert_to_minari
+from handover_marl.evaluation.reports.report import find_replay_links, load_report, render_report_page
+from handover_marl.evaluation.strangers.protocol import make_leaderboard
+from handover_marl.evaluation.verification import verify
 from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import check_path
+from handover_marl.geometry.model_files.meshes import check_model
+from handover_marl.simulation.engines import EXACT, list_available_physics
 from handover_marl.version import __version__
+from handover_marl.visualization.pictures import prepare_output_path
 
 #: Level ("ok", "note" or "fault"), name and result of a check.
 Finding = tuple[str, str, str]
 
 _TABLES = TableArguments()
-_Folders = Annotated[tuple[str, ...], tyro.conf.arg(metavar="DIR"), tyro.conf.Positional]
 _FAULT, _MAX_LISTED = "fault", 20
 _DISTRIBUTION, _DEVELOPER_EXTRAS = "handover-marl", ("assets", "dev", "docs")
 _NAME, _EXTRA = re.compile(r"[\w.-]+"), re.compile(r"extra == ['\"](\w+)['\"]")
@@ -54,9 +64,8 @@ def run_report(
         out: Output file (.html) for the report as a web page; default: none.
         episodes: Output file (.csv) with one row per episode; default: none.
     """
-    from handover_marl.evaluation.reports.report import find_replay_links, load_report, render_report_page
-
-    path, csv_path = _check_path(out, ".html"), _check_path(episodes, ".csv")
+    path = None if out is None else prepare_output_path(out, (".html",))
+    csv_path = None if episodes is None else prepare_output_path(episodes, (".csv",))
     report = load_report(folder)
     if csv_path is not None:
         write_atomically(csv_path, report.format_episodes_csv())
@@ -86,8 +95,6 @@ def run_verify(
         scenes: Scene numbers to verify, e.g. 209,214; default: all scenes with a result.
         giver: The person's policy; default: the registered policy that the folder names.
     """
-    from handover_marl.evaluation.verification import verify
-
     execution: Any = {"workers": workers, "progress": progress, "trust": trust}
     verification = verify(folder, data_dir=data_dir, scenes=scenes, giver=giver, **execution)
     print_tables(verification, tables, f"Folder: {Path(folder).expanduser()}")
@@ -106,8 +113,6 @@ def run_compare(
         first: Result folder, or a JSON file of outcomes such as those in docs/results/data/episodes.
         second: Result folder or file of the same setup, split and data.
     """
-    from handover_marl.evaluation.comparison import compare
-
     print_tables(compare(first, second), tables)
 
 
@@ -121,8 +126,6 @@ def run_convert(
         to: Library that writes the data set, Minari or LeRobot.
         name: Name of the new data set, such as handover/reactive-v0.
     """
-    from handover_marl.evaluation.demonstrations.convert import convert_to_lerobot, convert_to_minari
-
     convert = convert_to_minari if to == "minari" else convert_to_lerobot
     print(f"Data set: {convert(folder, name)}", flush=True)
 
@@ -141,8 +144,6 @@ def run_strangers_table(
             with the name of the method, or all as DIR, for which the label of the policy is the name.
         heat_map: Picture to write, with the success rate of every method with every partner.
     """
-    from handover_marl.evaluation.strangers.protocol import make_leaderboard
-
     paths, names = _split_names(folders)
     leaderboard = make_leaderboard(paths, population, names, trust)
     if heat_map is not None:
@@ -159,14 +160,6 @@ def _split_names(folders: tuple[str, ...]) -> tuple[list[str], list[str] | None]
     if len(names) < len(folders) or "" in names:
         raise OptionError(f"folders must all have names, or none, got {' '.join(folders)}")
     return [folder for _, _, folder in named], names
-
-
-def _check_path(out: str | None, suffix: str) -> Path | None:
-    if out is None:
-        return None
-    from handover_marl.visualization.pictures import prepare_output_path
-
-    return prepare_output_path(out, (suffix,))
 
 
 def run_import(
@@ -204,8 +197,6 @@ def run_doctor(data_dir: DataDir = None, progress: Progress = True) -> int:
 
     The exit status is 1 if there is a fault, else 0. Stand-ins for HandoverSim's models are not faults.
     """
-    from handover_marl.datasets import DATA_DIR_VARIABLE
-
     findings = check_installation()
     chosen = os.environ.get(DATA_DIR_VARIABLE) if data_dir is None else data_dir
     if chosen:
@@ -220,8 +211,6 @@ def run_doctor(data_dir: DataDir = None, progress: Progress = True) -> int:
 
 def check_installation() -> list[Finding]:
     """Return findings on the library's version, the physics engines and the packages of the optional extras."""
-    from handover_marl.simulation.engines import EXACT, list_available_physics
-
     machine = f"Python {platform.python_version()}, {platform.system()} {platform.machine()}"
     findings = [("ok", "library", f"handover_marl {__version__}, {machine}")]
     available = list_available_physics()
@@ -245,10 +234,6 @@ def check_data_folder(data_dir: Path, progress: bool = False) -> list[Finding]:
 
     Returns a finding for the scenes, with the errors, and one for each kind of models.
     """
-    from handover_marl.datasets.official import OfficialDataset
-    from handover_marl.datasets.splits import N_SCENES
-    from handover_marl.geometry.model_files.meshes import check_model
-
     check_once = functools.cache(check_model)
     faults, models, n_complete = Counter[str](), Counter[str](), 0
     try:

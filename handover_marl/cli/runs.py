@@ -16,7 +16,13 @@ from handover_marl.cli.options import (
     Trust,
 )
 from handover_marl.cli.streams import print_tables
+from handover_marl.config import CameraConfig
+from handover_marl.evaluation.benchmark import benchmark, evaluate_pair
 from handover_marl.evaluation.config import ExecutionConfig
+from handover_marl.evaluation.crossplay import crossplay
+from handover_marl.evaluation.demonstrations.record import demonstrate
+from handover_marl.evaluation.rendering import render_scene
+from handover_marl.evaluation.strangers.protocol import strangers
 from handover_marl.simulation.engines import FAST
 
 _EXECUTION, _VAL_PAIR, _VAL_SCENES = ExecutionArguments(), PairArguments(split="val"), SceneArguments(split="val")
@@ -34,8 +40,6 @@ def run_benchmark(
     tables: TableArguments = _TABLES,
 ) -> None:
     """Run HandoverSim's official protocol and print its table."""
-    from handover_marl.evaluation.benchmark import benchmark
-
     config = execution.make_config()
     report = benchmark(evaluation.make_config(), execution=config)
     print_tables(report, tables, _describe_path(config, "report.html"))
@@ -45,8 +49,6 @@ def run_evaluate_pair(
     evaluation: PairArguments = _VAL_PAIR, execution: ExecutionArguments = _EXECUTION, tables: TableArguments = _TABLES
 ) -> None:
     """Evaluate a giver with a receiver on a split and print the table."""
-    from handover_marl.evaluation.benchmark import evaluate_pair
-
     config = execution.make_config()
     report = evaluate_pair(evaluation.make_config(), execution=config)
     print_tables(report, tables, _describe_path(config, "report.html"))
@@ -65,8 +67,6 @@ def run_crossplay(
         givers: Givers; the first is the baseline to which the rates of the others are compared.
         receivers: Receivers.
     """
-    from handover_marl.evaluation.crossplay import crossplay
-
     config = execution.make_config()
     result = crossplay(givers, receivers, evaluation.make_config(), execution=config)
     print_tables(result, tables, _describe_path(config, "crossplay.md"))
@@ -90,18 +90,9 @@ def run_strangers(
         partners: Families of the population to evaluate with.
         n_scenes: Number of scenes, evenly spaced over the split; a large number takes all.
     """
-    from handover_marl.evaluation.strangers.protocol import strangers
-
     config = execution.make_config()
-    report = strangers(
-        receiver,
-        giver,
-        population,
-        partners,
-        n_scenes,
-        evaluation.make_config(),
-        execution=config,
-    )
+    given = (receiver, giver, population, partners, n_scenes, evaluation.make_config())
+    report = strangers(*given, execution=config)
     print_tables(report, tables, _describe_path(config, "strangers.md"))
 
 
@@ -120,8 +111,6 @@ def run_demonstrate(
         keep: Episodes to store: all (with their outcomes), or only those with success.
         fps: Frames per second, 1 to 1000, to record a constant rate; default: every decision, for exact replay.
     """
-    from handover_marl.evaluation.demonstrations.record import demonstrate
-
     config = execution.make_config()
     result = demonstrate(evaluation.make_config(), obs_mode=obs_mode, keep=keep, fps=fps, execution=config)
     print(f"{result}\n\n{_describe_path(config, 'report.html')}", flush=True)
@@ -158,9 +147,6 @@ def run_render(
         target: Point in the world frame at the center of the outside camera's image (m); default: 0.45 -0.2 1.15.
         vertical_fov: Vertical field of view of the outside camera (degrees); default: 54.
     """
-    from handover_marl.config import CameraConfig
-    from handover_marl.evaluation.rendering import render_scene
-
     config = evaluation.make_config()
     options: Any = {key: value for key, value in vars(config).items() if key not in _SPLIT_FIELDS} | {"trust": trust}
     size, pose = {"width": width, "height": height}, {"position": position, "target": target}

@@ -63,7 +63,7 @@ def add_motion(
     subject: str,
     recording: str | None = None,
     side: Literal["right", "left"] = "right",
-    hand: Annotated[str, tyro.conf.arg(metavar="{1..10,none}")] = "6",
+    hand: Annotated[int | Literal["none"], tyro.conf.arg(metavar="{1..10,none}")] = 6,
     others: _Names = None,
     frame: Annotated[str, tyro.conf.arg(metavar="{world,table}|x,y,z,qx,qy,qz,qw")] = "world",
     object_offset: _Offset = None,
@@ -120,7 +120,7 @@ def add_motion(
         config,
         recording=recording,
         side=side,
-        hand=None if hand == "none" else _parse_hand(hand),
+        hand=None if hand == "none" else hand,
         others=tuple(others.split(",")) if others else (),
     )
     print(scene, flush=True)
@@ -184,13 +184,6 @@ def _parse_numbers(name: str, text: str) -> tuple[float, ...]:
     except ValueError as error:
         names = "world, table or " if name == "frame" else ""
         raise OptionError(f"{name} must be {names}seven numbers, got {text!r}") from error
-
-
-def _parse_hand(text: str) -> int:
-    try:
-        return int(text)
-    except ValueError as error:
-        raise OptionError(f"hand must be a number from 1 to 10 or none, got {text!r}") from error
 
 
 def _parse_share(text: str) -> float | tuple[str, ...]:

@@ -63,7 +63,7 @@ def test_preview_of_a_refused_recording(work: Path, capsys: pytest.CaptureFixtur
     [
         (["add-object", "mine", "box", "box.stl", *OBJECT], "unit='mm'"),
         ([*MUG, "--frame", "1,2"], "frame must be"),
-        ([*MUG, "--hand", "big"], "hand must be"),
+        ([*MUG, "--hand", "12"], "hand"),
         (["check", "mine"], "is no folder of custom scenes"),
     ],
 )

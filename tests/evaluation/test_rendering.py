@@ -6,7 +6,7 @@ import pytest
 from PIL import Image
 
 from handover_marl import givers, receivers
-from handover_marl.cli import main
+from handover_marl.cli import main, runs
 from handover_marl.config import CameraConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
@@ -99,7 +99,7 @@ def test_bad_options(tmp_path: Path, out: str, options: dict[str, object], error
 
 def test_camera_options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     calls: list[dict[str, Any]] = []
-    monkeypatch.setattr(scene_rendering, "render_scene", lambda *_, **options: calls.append(options))
+    monkeypatch.setattr(runs, "render_scene", lambda *_, **options: calls.append(options))
     command = ["render", "--scene", "209", "--dataset", "synthetic", "--out", str(tmp_path / "x.png")]
     place = ["--position", "1.0", "-0.5", "2.0", "--target", "0.4", "0", "1.1", "--vertical-fov", "30"]
     assert main([*command, *place, "--width", "320", "--no-caption"]) == 0

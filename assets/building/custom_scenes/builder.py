@@ -58,33 +58,26 @@ class CustomSceneFolder:
     Every method checks its arguments first and writes the folder last, so that an error leaves the folder unchanged.
 
     Args:
-        folder: Path of the folder.
-        name: Name of the data set in results; default: the name of the folder.
+        folder: Path of the folder, whose name is the name of the data set in results.
 
     Raises:
-        OptionError: `folder` is not a path, or its `scenes.json` has another name than `name`.
+        OptionError: `folder` is not a path, or its name has other characters than letters, digits, '_', '.' and '-'.
         ResultsError: The folder has files, but no `scenes.json`.
         DataFormatError: The file `scenes.json` is damaged.
     """
 
-    def __init__(self, folder: str | os.PathLike[str], name: str | None = None) -> None:
+    def __init__(self, folder: str | os.PathLike[str]) -> None:
         self.folder = check_path("folder", folder).resolve()
-        if (self.folder / SCENE_FILE).exists():
-            known = read_scene_file(self.folder).name
-            if name not in (None, known):
-                raise OptionError(f"name must be {known!r}, the name of the scenes in {self.folder}, got {name!r}")
-            self._name = known
-            return
-        self._name = check_file_name("name", self.folder.name if name is None else name)
-        if self.folder.exists() and (not self.folder.is_dir() or any(self.folder.iterdir())):
-            raise ResultsError(f"{self.folder} must be a new folder, or one with {SCENE_FILE}; choose another one")
+        if not (self.folder / SCENE_FILE).exists():
+            check_file_name("name", self.folder.name)
+            if self.folder.exists() and (not self.folder.is_dir() or any(self.folder.iterdir())):
+                raise ResultsError(f"{self.folder} must be a new folder, or one with {SCENE_FILE}; choose another one")
 
     @property
     def content(self) -> SceneFile:
         """Objects, scenes and splits of the folder."""
-        if not (self.folder / SCENE_FILE).exists():
-            return SceneFile(self._name)
-        return read_scene_file(self.folder)
+        exists = (self.folder / SCENE_FILE).exists()
+        return read_scene_file(self.folder) if exists else SceneFile(self.folder.name)
 
     @property
     def dataset(self) -> str:
