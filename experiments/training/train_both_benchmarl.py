@@ -19,7 +19,7 @@ from torchrl.envs import EnvBase, PettingZooWrapper
 from torchrl.modules import MultiAgentMLP
 
 from handover_marl.envs.agents import AGENTS
-from handover_marl.learning.adapters.export import dense_network_from_layers
+from handover_marl.learning.adapters.modules import dense_network_from_layers
 from handover_marl.learning.training.scene_arguments import run_script
 
 

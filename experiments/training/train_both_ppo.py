@@ -18,7 +18,7 @@ from pair import FEATURES, SCHEMES, PairArgs, write_pair
 from train_ppo import train
 
 from handover_marl.envs.agents import AGENTS
-from handover_marl.learning.adapters.export import dense_network_from_layers
+from handover_marl.learning.adapters.modules import dense_network_from_layers
 from handover_marl.learning.training.scene_arguments import run_script
 
 

@@ -23,7 +23,7 @@ from rich.progress import track
 from torch import nn
 
 from handover_marl.envs.agents import AGENTS
-from handover_marl.learning.adapters.export import dense_network_from_layers
+from handover_marl.learning.adapters.modules import dense_network_from_layers
 from handover_marl.learning.training.run_folder import make_mlp
 from handover_marl.learning.training.scene_arguments import run_script
 

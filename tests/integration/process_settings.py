@@ -112,8 +112,8 @@ def play(reference: str, giver: str, physics: str) -> str:
 
 def apply(module: torch.nn.Module) -> str:
     """Apply a user's module as a policy and as the policy file made of it, and return a hash of the outputs."""
-    from handover_marl.learning.adapters.export import dense_network_from_module
     from handover_marl.learning.adapters.function_policy import TorchFunction
+    from handover_marl.learning.adapters.modules import dense_network_from_module
 
     inputs = np.linspace(-1.0, 1.0, 30, dtype=np.float32)
     outputs = TorchFunction(module)(inputs), dense_network_from_module(module)(inputs)

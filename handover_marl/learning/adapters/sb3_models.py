@@ -15,7 +15,7 @@ from torch import nn
 from handover_marl.episode.spaces import giver_action_space, receiver_action_space
 from handover_marl.errors import DataFormatError, OptionError
 from handover_marl.geometry.arrays import use_default_torch_settings
-from handover_marl.learning.adapters.export import dense_network_from_module, draw_inputs, is_close
+from handover_marl.learning.adapters.modules import dense_network_from_module, draw_inputs, is_close
 from handover_marl.learning.policy_files import RAW_ENCODINGS, DenseNetwork, InputNormalization, OutputBounds
 
 _SPACES = {"giver": giver_action_space, "receiver": receiver_action_space}

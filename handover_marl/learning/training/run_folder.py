@@ -16,7 +16,7 @@ from handover_marl.evaluation.benchmark import evaluate_pair
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.execution.files import shorten_text, write_atomically
 from handover_marl.execution.reading import check_archive, read_plain_file
-from handover_marl.learning.adapters.export import dense_network_from_layers
+from handover_marl.learning.adapters.modules import dense_network_from_layers
 from handover_marl.learning.policy_files import DenseNetwork, InputNormalization
 from handover_marl.learning.training.scene_arguments import SetupArgs
 from handover_marl.policies.reference import PolicyLike
