@@ -6,8 +6,10 @@ import tyro
 
 from handover_marl.cli.options import Folder, Progress, Workers
 from handover_marl.errors import OptionError
+from handover_marl.evaluation.rendering import render_scene
 from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import check_path, require_modules
+from handover_marl.visualization.pictures import draw_recording
 
 _Offset = Annotated[str | None, tyro.conf.arg(metavar="x,y,z,qx,qy,qz,qw")]
 _Names = Annotated[str | None, tyro.conf.arg(metavar="NAME,...")]
@@ -107,8 +109,6 @@ def add_motion(
     ]
     config = MotionConfig(chosen, length, time, quaternion, fingers, max_gap, *offsets)
     if preview is not None:
-        from handover_marl.visualization.pictures import draw_recording
-
         require_modules("the preview", "plot", "matplotlib")
         table = read_motion_table(motion, config)
         wrist = {} if table.wrist is None else {"wrist": table.wrist}
@@ -173,8 +173,6 @@ def preview(
         scene: Number of the scene.
         out: Output file: .html, .png, .gif or .mp4.
     """
-    from handover_marl.evaluation.rendering import render_scene
-
     print(render_scene(scene, out, dataset=f"own:{folder}", physics="fast", progress=progress), flush=True)
 
 

@@ -178,17 +178,16 @@ class Dataset(ABC):
         """
         return find_object_urdf(object_name)
 
-    def check_scenes(self, scene_ids: tuple[int, ...]) -> None:  # noqa: B027
-        """Check before a long computation that all files of the given scenes exist; by default, do nothing.
+    @abstractmethod
+    def compute_fingerprint(self, scene_id: int) -> str:
+        """Return a text that identifies a scene's content: it changes with the motion, models or robot grasps.
+
+        Evaluations compute it for all scenes before the first simulation, which finds files that are missing.
 
         Raises:
             DataNotFoundError: A file is missing.
-            UnsafeFileError, DataFormatError: A file that this check reads may run code, or is damaged.
+            UnsafeFileError, DataFormatError: The file of robot grasps may run code, or is damaged.
         """
-
-    @abstractmethod
-    def compute_fingerprint(self, scene_id: int) -> str:
-        """Return a text that identifies a scene's content: it changes with the motion, models or robot grasps."""
 
     def describe_models(self, scene_id: int) -> str:
         """Return text for reports on the origin of a scene's models, e.g. "MANO hand, stand-in grasps", or ""."""

@@ -251,18 +251,11 @@ class OfficialDataset(Dataset):
         path = self._find_grasp_file(object_name)
         return None if path is None else self._load_grasps(path)
 
-    def check_scenes(self, scene_ids: tuple[int, ...]) -> None:
-        """Check that all files of the given scenes exist and that the grasps of the handed-over objects can be read."""
-        for scene_id in scene_ids:
-            info = self.load_info(scene_id)
-            self._find_scene_assets(info)
-            require_file(self._pose_path(scene_id))
-            self.load_grasps(info.target_name)
-
     def compute_fingerprint(self, scene_id: int) -> str:
         """Return a hash of a scene's meta, pose and grasp files, URDFs and mesh sizes."""
         digest = hashlib.sha256()
         info = self.load_info(scene_id)
+        self.load_grasps(info.target_name)
         assets, grasps = self._find_scene_assets(info), self._find_grasp_file(info.target_name)
         files = [self._find_meta_file(scene_id), require_file(self._pose_path(scene_id))]
         for path in files if grasps is None else [*files, grasps]:

@@ -177,13 +177,13 @@ def _prepare(
     split_ids = dataset.list_scenes(config.setup, config.split)
     if execution.shard is not None:
         config = replace(config, scenes=select_shard(execution.shard, tuple(config.scenes or ())))
+    indices = {scene: index for index, scene in enumerate(split_ids)}
+    tasks = [SceneTask(indices[scene], scene, dataset.compute_fingerprint(scene)) for scene in config.scenes or ()]
     metadata = ResultMetadata.from_config(config, recorded, len(split_ids))
     folder = None
     if execution.folder is not None:
         text = format_config(metadata, config.world_config)
         folder = ResultFolder(execution.folder / subfolder, metadata, text, execution.overwrite)
-    indices = {scene: index for index, scene in enumerate(split_ids)}
-    tasks = [SceneTask(indices[scene], scene, dataset.compute_fingerprint(scene)) for scene in config.scenes or ()]
     return config, metadata, folder, tasks
 
 

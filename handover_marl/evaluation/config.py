@@ -155,7 +155,6 @@ def resolve_config(config: EvaluationConfig, trust: bool = False) -> tuple[Evalu
     resolved = {agent: policies[agent].resolve(dataset, config.world_config, setup) for agent in agents}
     if has_camera(resolved["receiver"].obs_mode):
         resolve_renderer(config.sensors.renderer, config.physics)
-    dataset.check_scenes(scenes)
     config = replace(config, setup=setup, scenes=scenes, giver=resolved["giver"], receiver=resolved["receiver"])
     return set_dataset(config, dataset), dataset
 

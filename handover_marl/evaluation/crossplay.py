@@ -1,8 +1,6 @@
 """Cross-play: evaluation of every giver with every receiver on the same scenes."""
 
-import csv
 import hashlib
-import io
 import itertools
 import re
 from collections.abc import Sequence
@@ -12,7 +10,7 @@ from typing import Any
 
 from handover_marl.datasets import Dataset
 from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.errors import OptionError, ResultsError
+from handover_marl.errors import OptionError
 from handover_marl.evaluation.benchmark import run_evaluations
 from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig, build_configs, format_inference_time
 from handover_marl.evaluation.reports.report import Report
@@ -34,9 +32,8 @@ from handover_marl.evaluation.reports.tables import (
     format_csv,
     format_percent_rate,
 )
-from handover_marl.execution.files import shorten_text, write_atomically
+from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import forward_signature, require_modules
-from handover_marl.execution.reading import read_plain_file
 from handover_marl.policies.policy import Policy
 from handover_marl.policies.reference import PolicyLike, PolicyReference, parse_policy
 
@@ -229,22 +226,6 @@ def resolve_policies(
         if other.code_hash != reference.code_hash:
             raise OptionError(f"{agent}s must have different labels, got two with {reference.label!r}; rename one")
     return list(references.values())
-
-
-def read_pairs(folder: Path) -> list[PolicyPair]:
-    """Read the labels (giver, receiver) of all pairs in a folder of `crossplay`; raise `ResultsError` if that fails."""
-    path = folder / CROSSPLAY_CSV
-    try:
-        rows = csv.DictReader(io.StringIO(read_plain_file(path).decode(), newline=""))
-        pairs = [(row["giver"], row["receiver"]) for row in rows]
-        givers, receivers = zip(*pairs, strict=True)
-        if set(pairs) != set(itertools.product(givers, receivers)):
-            raise ValueError("it lacks pairs")
-    except (OSError, ValueError, KeyError, csv.Error) as error:
-        raise ResultsError(
-            f"{path}: not a cross-play table ({shorten_text(error)}); run the same command to resume"
-        ) from error
-    return pairs
 
 
 def format_pair_folder(pair: PolicyPair) -> str:

@@ -253,7 +253,6 @@ class CustomSceneFolder:
             DataNotFoundError, DataFormatError: A file is missing or damaged.
         """
         dataset = CustomDataset(self.folder)
-        dataset.check_scenes(tuple(range(dataset.n_scenes)))
         for item in dataset.content.objects:
             check_model(dataset.find_object_urdf(item.name), OBJECT_DOF)
             dataset.load_grasps(item.name)

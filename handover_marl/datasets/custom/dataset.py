@@ -115,14 +115,6 @@ class CustomDataset(Dataset):
             return super().load_grasps(object_name)
         return self._read_grasps(object_name)
 
-    def check_scenes(self, scene_ids: tuple[int, ...]) -> None:
-        """Check that all files of scenes exist and grasps of handed-over objects can be read; errors: see `Dataset`."""
-        for scene_id in scene_ids:
-            info = self.load_info(scene_id)
-            self._find_scene_assets(info)
-            require_file(get_motion_path(self.folder, scene_id), _ADVICE)
-            self.load_grasps(info.target_name)
-
     def compute_fingerprint(self, scene_id: int) -> str:
         """Return a hash of a scene's motion, models and grasps."""
         assets, scene = self._find_scene_assets(self.load_info(scene_id)), self.content.scenes[scene_id]

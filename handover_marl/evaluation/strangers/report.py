@@ -1,6 +1,7 @@
 """Report of an evaluation with unseen partners, its output folder, and 95 % intervals of scores by a jackknife.
 
-An output folder is one of `crossplay`, with the population and the agent of the evaluated policies in `strangers.json`.
+An output folder is one of `crossplay`; `strangers.json` has the population, the agent of the evaluated policies and the
+labels of the pairs.
 
 Arrays of scores have the axes policies (several trainings of one method), partners and scenes.
 
@@ -24,7 +25,7 @@ import scipy
 
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError, ResultsError
-from handover_marl.evaluation.crossplay import CrossPlay, PolicyPair, format_pair_folder, read_pairs
+from handover_marl.evaluation.crossplay import CrossPlay, PolicyPair, format_pair_folder
 from handover_marl.evaluation.reports.report import Report, load_report
 from handover_marl.evaluation.reports.tables import (
     AVERAGE_SUCCESS,
@@ -195,8 +196,9 @@ class StrangersReport(TabularResult):
         return ReportTable([*header, *(column.title for column in _METRIC_COLUMNS), N_EPISODES.title], rows, n_keys=2)
 
     def write(self, folder: Path) -> None:
-        """Write population and agent (`strangers.json`) and the tables (`strangers.md`) to an output folder."""
-        entry = {name: getattr(self, name) for name in _ENTRY}
+        """Write population, agent and pairs (`strangers.json`) and the tables (`strangers.md`) to an output folder."""
+        pairs = [(report.metadata.giver, report.metadata.receiver) for report in self.reports.values()]
+        entry = {name: getattr(self, name) for name in _ENTRY} | {"pairs": pairs}
         write_atomically(folder / ENTRY_FILE, json.dumps(entry, indent=1) + "\n")
         write_atomically(folder / TABLES_FILE, f"# Strangers\n\n{self}\n")
 
@@ -240,6 +242,7 @@ def read_report(folder: Path, population: Population) -> StrangersReport:
     try:
         content = json.loads(read_plain_file(path, _MAX_BYTES))
         name, split, agent = (str(content[key]) for key in _ENTRY)
+        pairs = [(str(giver), str(receiver)) for giver, receiver in content["pairs"]]
         if agent not in OTHER_AGENT:
             raise ValueError(f"agent must be one of {', '.join(OTHER_AGENT)}")
     except FileNotFoundError as error:
@@ -251,13 +254,13 @@ def read_report(folder: Path, population: Population) -> StrangersReport:
         raise ResultsError(f"{path}: not a readable evaluation with strangers ({shorten_text(error)})") from error
     if name != population.label:
         raise OptionError(f"{folder} must be of population {population.label}, got {name}; pass the population's file")
-    return make_report(_load_crossplay(folder), population, split, agent)
+    return make_report(_load_crossplay(folder, pairs), population, split, agent)
 
 
-def _load_crossplay(folder: Path) -> CrossPlay:
-    """Compute the cross-play of an output folder from the stored results of its pairs."""
+def _load_crossplay(folder: Path, pairs: Sequence[PolicyPair]) -> CrossPlay:
+    """Compute the cross-play of an output folder from the stored results of pairs."""
     reports: dict[PolicyPair, Report] = {}
-    for pair in read_pairs(folder):
+    for pair in pairs:
         report = reports[pair] = load_report(folder / format_pair_folder(pair))
         differences = list_differences(*map(describe_condition, (report, next(iter(reports.values())))))
         differences += [] if (report.metadata.giver, report.metadata.receiver) == pair else [f"labels {pair}"]
