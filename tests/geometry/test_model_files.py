@@ -1,13 +1,15 @@
-"""Tests of OBJ and URDF files: forms of the formats, unreadable files, and convex hulls."""
+"""Tests of OBJ and URDF files: forms of the formats, ranges of numbers, unreadable files, and convex hulls."""
 
 import codecs
+import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
 
-from handover_marl.errors import DataFormatError, HandoverError
+import handover_marl.assets
+from handover_marl.errors import DataFormatError, HandoverError, SimulationError
 from handover_marl.geometry.array_cache import load_cached_arrays
 from handover_marl.geometry.kinematic_tree import KinematicTree, read_tree
 from handover_marl.geometry.model_files.meshes import (
@@ -19,6 +21,7 @@ from handover_marl.geometry.model_files.meshes import (
 )
 from handover_marl.geometry.model_files.obj_files import check_mesh, read_obj
 from handover_marl.geometry.model_files.urdf import list_mesh_references, read_urdf_links, read_urdf_shapes
+from handover_marl.geometry.model_files.urdf_xml import URDF_RANGES, parse_urdf
 from tests.helpers.unreadable import UNREADABLE, refuses_within
 
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
@@ -62,11 +65,70 @@ def test_damaged_files(tmp_path: Path, text: str, message: str) -> None:
         read_obj(write(tmp_path, text))
 
 
+BODY = f"{TRIANGLE}v 0 0 1\nf 1 2 3\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f"\ufeff{BODY}",
+        BODY.replace("2 3\n", "2 3 # x\n", 1),
+        BODY.replace(" 3\n", " \\\n3\n"),
+        BODY.replace("\n", "\r"),
+    ],
+)
+def test_forms_that_pybullet_reads_wrong_are_refused(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "mesh.obj"
+    path.write_bytes(text.encode())
+    assert read_obj(path).faces.shape == (4, 3)
+    with pytest.raises(DataFormatError, match="which PyBullet does not read"):
+        check_mesh(path)
+
+
 def test_flat_meshes_are_no_solids(tmp_path: Path) -> None:
     flat = write(tmp_path, f"{TRIANGLE}f 1 2 3\n")
     check_mesh(flat)
     with pytest.raises(DataFormatError, match="all vertices are in one plane"):
         check_mesh(flat, solid=True)
+
+
+MODEL = """<robot name="thing">
+  <link name="base"/>
+  <joint name="joint" type="revolute"><parent link="base"/><child link="body"/></joint>
+  <link name="body">
+    <inertial><mass value="0.5"/></inertial>
+    <collision><geometry><box size="0.1 0.1 0.1"/></geometry></collision>
+  </link>
+</robot>
+"""
+
+
+@pytest.mark.parametrize("name", URDF_RANGES)
+def test_numbers_are_finite_and_within_their_range(name: str, tmp_path: Path) -> None:
+    path, (low, high) = tmp_path / "model.urdf", URDF_RANGES[name]
+    tag, attribute = name.split() if " " in name else ("thing", name)
+
+    def write(text: str) -> None:
+        path.write_text(MODEL.replace('<link name="base"/>', f'<link name="base"><{tag} {attribute}="{text}"/></link>'))
+
+    write(f"{low} {high}")
+    parse_urdf(path)
+    out = (f"{high * 1.01}", f"{low - 0.01 * abs(low) - 1e-9}", "nan", "inf", "", "1_0", "٣", "1 nan 1")
+    for text in out:
+        write(text)
+        with pytest.raises(SimulationError, match=rf"{attribute} of <{tag}> must be a number from .* to .*, got"):
+            read_tree(path)
+
+
+def test_official_files_pass() -> None:
+    folders = [Path(handover_marl.assets.__file__).parent]
+    folders += [
+        Path(os.environ[name]) for name in ("HANDOVER_MARL_DATA", "HANDOVER_MARL_SEVERAL_OBJECTS") if name in os.environ
+    ]
+    files = [path for folder in folders for path in folder.rglob("*.urdf") if path.parent.name != "templates"]
+    assert len(files) > 10
+    for path in files:
+        parse_urdf(path)
 
 
 TREE = KinematicTree([])

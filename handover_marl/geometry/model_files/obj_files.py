@@ -14,6 +14,9 @@ from handover_marl.execution.reading import cached_by_file, read_plain_file, rep
 Array = npt.NDArray[np.float64]
 Faces = npt.NDArray[np.int64]
 
+# A byte order mark, a comment behind a face, lines joined by a backslash, and carriage returns alone: PyBullet drops a
+# vertex or the whole mesh without an error.
+_MISREAD_BY_BULLET = re.compile(rb"\A\xef\xbb\xbf|^[ \t]*f[ \t][^\r\n]*#|\\[ \t]*[\r\n]|\r(?!\n)", re.MULTILINE)
 # Vertices count as lying in one plane if their smallest singular value is below this (m).
 _FLAT = 1e-9
 _LINE_END, _CONTINUATION, _COMMENT = (
@@ -127,13 +130,18 @@ def format_convex_parts(parts: Iterable[tuple[Array, Faces]]) -> str:
 
 
 def check_mesh(path: Path, solid: bool = False) -> None:
-    """Raise `DataFormatError` if engines cannot load a mesh file; only the content of OBJ files is checked.
+    """Raise `DataFormatError` if not every engine can load a mesh file; only the content of OBJ files is checked.
 
-    PyBullet crashes on vertex numbers out of range, and loads empty meshes without an error. The vertices of a `solid`
-    mesh must not all be in one plane.
+    PyBullet crashes on vertex numbers out of range, loads empty meshes without an error, and reads some forms of the
+    format wrong. The vertices of a `solid` mesh must not all be in one plane.
     """
     if path.suffix.lower() != ".obj":
         return
     vertices = read_obj(path).vertices
+    if _MISREAD_BY_BULLET.search(read_plain_file(path)):
+        raise DataFormatError(
+            f"{path}: must not have a byte order mark, a comment behind a face, lines joined by a backslash or a "
+            "carriage return alone, which PyBullet does not read; change it"
+        )
     if solid and np.linalg.matrix_rank(vertices - vertices[0], tol=_FLAT) < 3:
         raise DataFormatError(f"{path}: all vertices are in one plane; check the file")
