@@ -59,6 +59,12 @@ class CustomObject:
 
     def __post_init__(self) -> None:
         check_file_name("name of an object", self.name, CLASS_NAMES.values())
+        for name in ("number", "n_grasps", "n_candidates"):
+            if type(getattr(self, name)) is not int:
+                raise OptionError(f"{name} of object {self.name} must be an integer, got {getattr(self, name)!r:.100}")
+        for name in ("mass", "friction"):
+            if type(getattr(self, name)) not in (int, float):
+                raise OptionError(f"{name} of object {self.name} must be a number, got {getattr(self, name)!r:.100}")
 
     def __str__(self) -> str:
         grasps = f"{self.n_grasps} grasps held in simulation, of {self.n_candidates} that were tried"
