@@ -11,10 +11,12 @@ units are as in the episodes of `report.json`.
 
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any, TypeAlias
+from types import NoneType
+from typing import Any, TypeAlias, get_args, get_type_hints
 
 import numpy as np
 import numpy.typing as npt
@@ -52,7 +54,7 @@ _MAX_BYTES = 64_000_000  # unpacked size of one scene's result, or size of an ep
 _FLUENCY_PREFIX = "fluency_"
 #: Fields of `EpisodeResult` that only evaluations with inference time have.
 INFERENCE_KEYS = ("late_s", "early_grab")
-_MAX_NUMBER = 1e9
+_MAX_TEXT, _MAX_NUMBER = 10_000, 1e9  # characters of a description; largest number
 
 
 @dataclass(frozen=True)
@@ -108,8 +110,12 @@ class EpisodeResult:
         return 1.0 - self.steps / OFFICIAL_CONFIG.protocol.horizon_steps if self.success else 0.0
 
 
-# Fields that HandoverSim's files lack.
-_EXTRAS = tuple(field.name for field in fields(EpisodeResult) if field.default is None and field.name != "fluency")
+# Type of each field that HandoverSim's files lack.
+_EXTRAS: dict[str, type] = {
+    name: get_args(hint)[0]
+    for name, hint in get_type_hints(EpisodeResult).items()
+    if NoneType in get_args(hint) and name != "fluency"
+}
 _METRICS = tuple(field.name for field in fields(FluencyMetrics))
 _STATUSES = {EpisodeStatus(bits).label: bits for bits in range(1, 16)}
 
@@ -265,7 +271,26 @@ def read_results(path: Path, allow_empty: bool = False) -> list[EpisodeResult]:
     files = find_numbered(path, ".npz").values()
     if not files and not allow_empty:
         raise ResultsError(f"{path} has no result files (000.npz, 001.npz, ...)")
-    return [read_result(file)[0] for file in files]
+    results = [read_result(file)[0] for file in files]
+    _check_scenes_differ(results, path)
+    return results
+
+
+def _check_scenes_differ(results: Sequence[EpisodeResult], path: Path) -> None:
+    """Raise `ResultsError` if two results that were read from a path are of the same scene."""
+    for scene, count in Counter(result.scene_id for result in results).items():
+        if scene is not None and count > 1:
+            raise ResultsError(f"{path}: {count} results are of scene {scene}; delete those that were copied")
+
+
+def _check_scalar(name: str, value: Any, kind: type) -> Any:
+    """Return a value that was read from a file as a Python number or text; raise a `TypeError` for another type."""
+    scalar: Any = value.item() if isinstance(value, np.generic) else value
+    # Control characters could change a terminal that prints the report.
+    text = scalar if isinstance(scalar, str) else ""
+    if type(scalar) is not kind or not text.isprintable() or len(text) > _MAX_TEXT:
+        raise TypeError(f"{name} must be a printable {kind.__name__}, got {ascii(scalar)[:100]}")
+    return scalar
 
 
 def read_result(path: Path) -> tuple[EpisodeResult, npt.NDArray[Any]]:
@@ -289,7 +314,8 @@ def read_result(path: Path) -> tuple[EpisodeResult, npt.NDArray[Any]]:
 def _parse_result(values: Mapping[str, Any]) -> EpisodeResult:
     """Make the result of an episode from values of `EpisodeResult` and `FluencyMetrics` in a file."""
     status, steps, plan_s = EpisodeStatus(int(values["status"])), int(values["steps"]), float(values["plan_s"])
-    known = {key: np.asarray(values[key]).item() for key in ("index", *_EXTRAS) if values.get(key) is not None}
+    kinds = {"index": int} | {key: kind for key, kind in _EXTRAS.items() if values.get(key) is not None}
+    known = {key: _check_scalar(key, values[key], kind) for key, kind in kinds.items()}
     if not 0 < status < 16 or (status & EpisodeStatus.SUCCESS and status != EpisodeStatus.SUCCESS):
         raise ValueError(f"impossible status {int(status)}")
     numbers = steps, plan_s, *(value for value in known.values() if isinstance(value, int))
@@ -352,4 +378,5 @@ def read_episode_file(path: Path) -> tuple[ResultMetadata, list[EpisodeResult]]:
             f"docs/results/data/episodes ({type(error).__name__}: {shorten_text(error)})"
         ) from error
     check_metadata(metadata, path)
+    _check_scenes_differ(results, path)
     return metadata, sorted(results, key=lambda result: result.index)

@@ -1,5 +1,6 @@
 """Tests of wrappers: encoded environments, and wrappers of PettingZoo and Gymnasium."""
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -85,8 +86,10 @@ def test_vector_environments_are_wrapped(physics: str, agent: str | None) -> Non
 @pytest.mark.parametrize(
     ("wrappers", "message"),
     [
+        ([5], "wrappers must be functions or classes that wrap an environment, got 5"),
         ("Cost", "wrappers must be a list of functions or classes"),
         ([lambda env: None], "env must be made by"),
+        ([lambda env: sys.exit(3)], r"wrapper .* failed \(SystemExit: 3\)"),
     ],
 )
 def test_wrong_wrappers_are_refused(wrappers: Any, message: str) -> None:

@@ -74,6 +74,8 @@ def test_results_are_read_as_written(folder: ResultFolder) -> None:
     "changes",
     [
         {"object_name": np.array(["a", "b"])},
+        {"subject": 1.5},
+        {"machine": "m" * 5_000_000},
         {"elapsed_time": np.full(50, np.nan)},
         {"scene_id": -1},
     ],
@@ -91,6 +93,9 @@ def test_impossible_results_are_refused(folder: ResultFolder, changes: dict[str,
 def test_results_in_the_wrong_place_are_refused(folder: ResultFolder) -> None:
     first, second = folder.path / "000.npz", folder.path / "001.npz"
     second.write_bytes(first.read_bytes())
+    with pytest.raises(ResultsError, match=r"2 results are of scene 209; delete"):
+        read_results(folder.path)
+    first.unlink()
     with pytest.raises(ResultsError, match=r"001\.npz must be of scene 214, got scene 209; delete it"):
         load_report(folder.path)
 
@@ -271,6 +276,7 @@ def change_row(column: str, value: Any) -> Callable[[dict[str, Any]], None]:
         change_row("scene_id", 3),
         change_row("reach", "far"),
         lambda content: content["metadata"].update(split="all"),
+        lambda content: content["common"].update(machine="\x1b[31mred"),
     ],
 )
 def test_impossible_episode_files_are_refused(spoil: Callable[[dict[str, Any]], None], file: Path) -> None:

@@ -1,8 +1,10 @@
 """Vector environment in PettingZoo's parallel API, with arrays in place of single values."""
 
 import contextlib
-from collections.abc import Mapping, Sequence
-from typing import Any
+import os
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NoReturn
 
 import numpy as np
 from gymnasium import spaces
@@ -20,7 +22,7 @@ from handover_marl.envs.vector.batch import (
     select_rows,
 )
 from handover_marl.envs.wrappers.wrapper import ByAgent, WrappableEnv
-from handover_marl.errors import ActionError, OptionError, ResetNeededError
+from handover_marl.errors import ActionError, OptionError, ResetNeededError, SimulationError
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, disable_gradients, to_numpy
 from handover_marl.simulation.camera.optics import CameraInfo
 
@@ -59,11 +61,14 @@ class ParallelVectorEnv:
         self.possible_agents: list[str] = list(template.possible_agents)
         self.scene_ids: tuple[int, ...] = template.unwrapped.scene_ids
         self.metadata: dict[str, Any] = {**template.metadata, "autoreset_mode": autoreset}
-        self._is_closed = False
+        self._is_closed, self._process, self._lock = False, os.getpid(), threading.Lock()
         # Whether every environment has been reset, and no reset or step has failed since.
         self._is_running = False
         self._ended = np.zeros(num_envs, dtype=bool)
         self._latest: EnvResult | None = None
+
+    def __reduce__(self) -> NoReturn:
+        raise OptionError("a vector environment cannot be copied or pickled; make another one, in its process")
 
     @property
     def agents(self) -> list[str]:
@@ -104,7 +109,8 @@ class ParallelVectorEnv:
         Raises:
             OptionError: The number of seeds or the shape of the mask is wrong, a seed is negative or not an integer,
                 `options` is not a mapping, or no environment is chosen.
-            ResetNeededError: The environments are closed.
+            ResetNeededError: The environments are closed, or were made by another process.
+            SimulationError: Another thread is using the environments.
         """
         if options is not None and not isinstance(options, Mapping):
             raise OptionError(f"options must be a dict, got {options!r}")
@@ -115,7 +121,7 @@ class ParallelVectorEnv:
             raise OptionError(f"reset_mask must be {self.num_envs} truth values with at least one True, got {mask!r}")
         rows = np.flatnonzero(chosen)
         seeds = _spread_seeds(seed, self.num_envs)
-        with self._disable_gradients():
+        with self._use_envs():
             is_running, self._is_running = self._is_running or bool(chosen.all()), False
             row_results = [(rows, self._envs.reset(rows, [seeds[row] for row in rows.tolist()], others or None))]
             if self._latest is not None and not chosen.all():
@@ -140,9 +146,10 @@ class ParallelVectorEnv:
             ActionError: An agent's actions are missing or malformed; no environment has advanced.
             ResetNeededError: There was no reset, a reset or step has failed since, an episode has ended and autoreset
                 is "disabled", or the environments are closed.
+            SimulationError: Another thread is using the environments.
         """
         count, arrays = self.num_envs, self._arrays
-        with self._disable_gradients():
+        with self._use_envs():
             if not self._is_running or (self.autoreset_mode is AutoresetMode.DISABLED and self._ended.any()):
                 raise ResetNeededError("no episode is running; call reset() before step()")
             if not isinstance(actions, dict) or actions.keys() != set(self.possible_agents):
@@ -192,11 +199,21 @@ class ParallelVectorEnv:
         self._is_running, self._is_closed = False, True
         self._envs.close()
 
-    def _disable_gradients(self) -> contextlib.AbstractContextManager[None]:
-        """Return a context that disables PyTorch's gradients if results are tensors; raise an error after `close`."""
+    @contextlib.contextmanager
+    def _use_envs(self) -> Iterator[None]:
+        """Check that the environments are usable; lock out other threads and disable gradients in a `with` block."""
         if self._is_closed:
             raise ResetNeededError("the vector environment is closed; make another one")
-        return contextlib.nullcontext() if self._arrays == NUMPY_ARRAYS else disable_gradients()
+        if os.getpid() != self._process:
+            # Threads do not survive a fork, so the simulation would wait for them forever.
+            raise ResetNeededError("the vector environment was made by another process; make it after the fork")
+        if not self._lock.acquire(blocking=False):
+            raise SimulationError("another thread is using the vector environment; call reset() and step() in turn")
+        try:
+            with contextlib.nullcontext() if self._arrays == NUMPY_ARRAYS else disable_gradients():
+                yield
+        finally:
+            self._lock.release()
 
 
 def _spread_seeds(seed: int | Sequence[int | None] | None, count: int) -> list[int | None]:

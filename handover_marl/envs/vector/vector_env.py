@@ -21,7 +21,7 @@ from handover_marl.envs.wrappers.control_agent import FixedPartnerEnv, control_a
 from handover_marl.envs.wrappers.encode import EncodedEnv, encode
 from handover_marl.envs.wrappers.wrapper import WrappableEnv, check_env, list_wrappers
 from handover_marl.episode.spaces import FULL_POINTCLOUD, STATE, parse_obs_mode
-from handover_marl.errors import OptionError, check_name
+from handover_marl.errors import HandoverError, OptionError, check_name
 from handover_marl.execution.options import check_positive_integer, count_available_cores, forward_signature
 from handover_marl.learning.custom_encodings import FeaturesLike, SchemeLike, is_reference
 from handover_marl.policies.reference import PolicyLike
@@ -32,6 +32,8 @@ from handover_marl.simulation.engines import CPU, MUJOCO, THREADS, WARP, BatchBa
 #: Function or class that wraps the environment by a `pettingzoo.utils.BaseParallelWrapper`.
 WrapperFunction: TypeAlias = Callable[[WrappableEnv], WrappableEnv]
 AUTORESETS = tuple(mode.name.lower() for mode in AutoresetMode)
+#: Largest number of environments in a batch; each takes megabytes of memory.
+MAX_ENVS = 65_536
 # A scene takes 0.7 MB, and 5 ms to read.
 _CACHED_SCENES = 512
 
@@ -177,6 +179,8 @@ def vector_env(
     chosen_backend = BatchBackend(backend, device)
     check_backend(chosen_backend)
     count = check_positive_integer("num_envs", num_envs)
+    if count > MAX_ENVS:
+        raise OptionError(f"num_envs must be at most {MAX_ENVS}, got {num_envs}; run several processes")
     threads = None if threads is None else check_positive_integer("threads", threads)
     processes = None if processes is None else check_positive_integer("processes", processes)
     if None not in (threads, processes):
@@ -202,8 +206,7 @@ def vector_env(
     def make_single() -> WrappableEnv:
         env: WrappableEnv = HandoverEnv(chosen)
         for wrapper in wrappers:
-            env = wrapper(env)
-            check_env(env)
+            env = _apply_wrapper(wrapper, env)
         if agent is not None:
             env = control_agent(env, agent, partner, trust=trust)
         return env if features is None and action_scheme is None else encode(env, features, action_scheme)
@@ -289,3 +292,17 @@ def _find_obstacle(template: WrappableEnv, backend: str) -> str:
             ),
         ]
     return next((need for is_met, need in conditions if not is_met), "")
+
+
+def _apply_wrapper(wrapper: WrapperFunction, env: WrappableEnv) -> WrappableEnv:
+    """Return an environment wrapped by a user's function or class `wrapper`; raise OptionError if it fails."""
+    if not callable(wrapper):
+        raise OptionError(f"wrappers must be functions or classes that wrap an environment, got {wrapper!r}")
+    try:
+        wrapped = wrapper(env)
+    except HandoverError:
+        raise
+    except (Exception, SystemExit) as error:  # code of the user
+        raise OptionError(f"wrapper {wrapper!r} failed ({type(error).__name__}: {error})") from error
+    check_env(wrapped)
+    return wrapped

@@ -2,6 +2,8 @@
 
 import copy
 import multiprocessing
+import os
+import pickle
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -21,6 +23,7 @@ from handover_marl.errors import (
     OptionError,
     PolicyError,
     ResetNeededError,
+    SimulationError,
     UnknownNameError,
     WorkerError,
 )
@@ -328,6 +331,7 @@ def test_what_cannot_be_is_refused(both: Callable[..., Any]) -> None:
         ({"num_envs": 2, "agent": None, "partner": "replay"}, OptionError, "partner"),
         ({"num_envs": 2, "agent": "robot"}, UnknownNameError, "agent"),
         ({"num_envs": 2, "autoreset": "always"}, UnknownNameError, "autoreset"),
+        ({"num_envs": 10**9}, OptionError, "num_envs must be at most 65536, got 1000000000"),
         ({"num_envs": 2, "features": len}, OptionError, "features 'len' must declare the number of features"),
     ):
         with pytest.raises(error, match=message):
@@ -372,3 +376,37 @@ def test_malformed_resets_change_nothing(three: HandoverVectorEnv, arguments: di
     three.step(STILL)[0].clear()
     after, *_ = three.step(STILL)
     np.testing.assert_allclose(after["time"], 0.2, atol=1e-6)
+
+
+def test_vector_environments_cannot_be_copied(three: HandoverVectorEnv) -> None:
+    with pytest.raises(OptionError, match="make another one"):
+        pickle.dumps(three)
+
+
+def test_two_threads_at_once_are_refused(three: HandoverVectorEnv, monkeypatch: pytest.MonkeyPatch) -> None:
+    three.reset(seed=1)
+    envs = three._envs._envs
+    simulate = envs.step
+
+    def step_twice(rows: Any, actions: Any) -> Any:
+        for call in (lambda: three.step(STILL), lambda: three.reset(seed=1)):
+            with pytest.raises(SimulationError, match="another thread is using the vector environment"):
+                call()
+        return simulate(rows, actions)
+
+    monkeypatch.setattr(envs, "step", step_twice)
+    after, *_ = three.step(STILL)
+    np.testing.assert_allclose(after["time"], 0.1, atol=1e-6)
+
+
+@pytest.mark.filterwarnings("ignore:This process")
+def test_an_environment_of_the_parent_process_is_refused_after_a_fork(three: HandoverVectorEnv) -> None:
+    three.reset(seed=0)
+    process = os.fork()
+    if process == 0:
+        try:
+            three.step(STILL)
+        except ResetNeededError:
+            os._exit(7)
+        os._exit(1)
+    assert os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]) == 7
