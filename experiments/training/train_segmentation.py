@@ -85,11 +85,12 @@ def load_views(args: Args, scenes: Sequence[int]) -> list[SegmentationViews]:
     return generate_samples(SegmentationViews, args.out / "views", scenes, make_renderer, "rendering", args.workers)
 
 
-def train(learner: ImitationLearner[Any, Any], data: Sequence[LabelledBatches], size: int, args: Args) -> None:
-    """Train the learner's network by batches of `size` samples of `data[0]`, and print its metrics on `data[1]`."""
-    samples, held_out = data
+def train(
+    learner: ImitationLearner[Any, Any], samples: LabelledBatches, held_out: LabelledBatches, size: int, seed: int
+) -> None:
+    """Train the learner's network by batches of `size` samples that `seed` selects; print its metrics on `held_out`."""
     for number in track(range(learner.updates), description="updates"):
-        learner.update(samples.sample(size, np.random.default_rng((args.seed, number))))
+        learner.update(samples.sample(size, np.random.default_rng((seed, number))))
     shares = {name: round(float(share), 3) for name, share in learner.evaluate(held_out).items()}
     print(f"intersection over union in {len(held_out)} images or clouds of held-out scenes: {shares}")
 
@@ -108,14 +109,16 @@ def main(args: Args) -> Path:
     if not pixels.exists():
         torch.manual_seed(args.seed)
         learner = SegmentationLearner(SegmentationNetwork(), args.updates, device)
-        train(learner, [SegmentationBatches(join_samples(part)) for part in parts], args.batch_size, args)
+        images, held_out = (SegmentationBatches(join_samples(part)) for part in parts)
+        train(learner, images, held_out, args.batch_size, args.seed)
         write_network_weights(pixels, learner.averaged_network, origin)
     network, _ = read_network_weights(pixels, SegmentationNetwork)
     torch.manual_seed(args.seed)
     rng = np.random.default_rng(args.seed)
     found = [[cloud for one in part if (cloud := collect_clouds(network, one, rng))] for part in parts]
     point_learner = PointSegmentationLearner(PointSegmentationNetwork(N_CLASSES), args.point_updates, device)
-    train(point_learner, [PointBatches(join_samples(part)) for part in found], args.point_batch_size, args)
+    clouds, held_out_clouds = (PointBatches(join_samples(part)) for part in found)
+    train(point_learner, clouds, held_out_clouds, args.point_batch_size, args.seed)
     network.points = point_learner.averaged_network
     write_network_weights(path, network, origin)
     return path

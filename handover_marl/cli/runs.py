@@ -91,8 +91,7 @@ def run_strangers(
         n_scenes: Number of scenes, evenly spaced over the split; a large number takes all.
     """
     config = execution.make_config()
-    given = (receiver, giver, population, partners, n_scenes, evaluation.make_config())
-    report = strangers(*given, execution=config)
+    report = strangers(receiver, giver, population, partners, n_scenes, evaluation.make_config(), execution=config)
     print_tables(report, tables, _describe_path(config, "strangers.md"))
 
 

@@ -69,7 +69,7 @@ class CustomSceneFolder:
     def __init__(self, folder: str | os.PathLike[str]) -> None:
         self.folder = check_path("folder", folder).resolve()
         if not (self.folder / SCENE_FILE).exists():
-            check_file_name("name", self.folder.name)
+            check_file_name("the name of the folder", self.folder.name)
             if self.folder.exists() and (not self.folder.is_dir() or any(self.folder.iterdir())):
                 raise ResultsError(f"{self.folder} must be a new folder, or one with {SCENE_FILE}; choose another one")
 

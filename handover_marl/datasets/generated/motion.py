@@ -132,7 +132,7 @@ def minimum_jerk(time: npt.ArrayLike) -> Array:
 
 
 def _draw_timing(random: RandomStream, speed: float, entry_distance: float, lift_time: float) -> HandoverTiming:
-    """Draw a timing for peak speed (m/s), reach (m) and lift (s), which are shortened if the recording is short."""
+    """Draw a timing for peak speed (m/s), reach (m), lift (s); in short recordings, reach and lift are shorter."""
     n_keyframes = list(FRAME_COUNTS)[random.weighted_index(list(FRAME_COUNTS.values()))]
     onset = round(random.draw_quantile("hand_onset"))
     onset_share = random.uniform(0.05, 0.40)

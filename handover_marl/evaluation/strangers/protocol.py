@@ -16,12 +16,14 @@ from handover_marl.evaluation.crossplay import crossplay, resolve_policies
 from handover_marl.evaluation.reports.tables import N_EPISODES, ReportTable, TabularResult
 from handover_marl.evaluation.strangers.report import (
     COLUMNS,
+    ENTRY_FILE,
     NOTE,
     OTHER_AGENT,
     StrangersReport,
     estimate_mean_score,
     list_differences,
     make_report,
+    read_entry,
     read_report,
 )
 from handover_marl.execution.files import shorten_text, write_atomically
@@ -65,7 +67,8 @@ def strangers(
 
     Raises:
         OptionError: Not exactly one of receiver and giver is given, two trainings are the same, the world or the rules
-            are not the official ones, or the population has no partners in the split.
+            are not the official ones, the population has no partners in the split, or the output folder holds another
+            evaluation.
         HandoverError: The same errors as `crossplay` and `load_population`.
     """
     if not isinstance(setup, EvaluationConfig):
@@ -88,14 +91,22 @@ def strangers(
     if config.scenes is None:
         scenes = dataset.list_scenes(dataset.resolve_setup(config.setup), config.split)
         config = replace(config, scenes=select_scenes_evenly(scenes, n_scenes))
+    folder = execution.folder
+    if folder is not None and not execution.overwrite and (folder / ENTRY_FILE).is_file():
+        stored = read_entry(folder)
+        if (stored.population, stored.partner_split) != (found.label, partners):
+            raise OptionError(
+                f"out must be a folder for population {found.label}, families of {partners}, got {folder} with "
+                f"{stored.population}, families of {stored.partner_split}; choose another folder"
+            )
     trainings = resolve_policies(agent, policies, dataset, config, execution.trust)
     if len({policy.code_hash for policy in trainings}) < len(trainings):
         raise OptionError(f"{agent} must name different policies, got two with the same code and weights; drop one")
     givers, receivers = (trainings, others) if agent == "giver" else (others, trainings)
     result = crossplay(givers, receivers, config, execution=execution)
     report = make_report(result, found, partners, agent)
-    if execution.folder is not None:
-        report.write(execution.folder)
+    if folder is not None:
+        report.write(folder)
     return report
 
 

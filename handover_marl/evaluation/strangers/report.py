@@ -18,6 +18,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -49,7 +50,6 @@ Array = npt.NDArray[np.float64]
 Statistic = Callable[[Array], np.floating]
 ENTRY_FILE, TABLES_FILE = "strangers.json", "strangers.md"
 _CONDITION = ("dataset", "setup", "split", "physics", "seed", "world", "version")
-_ENTRY = ("population", "partner_split", "agent")
 _MAX_BYTES = 1_000_000
 #: Agent of the partners, by the agent of the evaluated policies.
 OTHER_AGENT = {"receiver": "giver", "giver": "receiver"}
@@ -198,8 +198,8 @@ class StrangersReport(TabularResult):
     def write(self, folder: Path) -> None:
         """Write population, agent and pairs (`strangers.json`) and the tables (`strangers.md`) to an output folder."""
         pairs = [(report.metadata.giver, report.metadata.receiver) for report in self.reports.values()]
-        entry = {name: getattr(self, name) for name in _ENTRY} | {"pairs": pairs}
-        write_atomically(folder / ENTRY_FILE, json.dumps(entry, indent=1) + "\n")
+        entry = Entry(self.population, self.partner_split, self.agent, pairs)
+        write_atomically(folder / ENTRY_FILE, json.dumps(entry._asdict(), indent=1) + "\n")
         write_atomically(folder / TABLES_FILE, f"# Strangers\n\n{self}\n")
 
 
@@ -236,14 +236,24 @@ def make_report(crossplay: CrossPlay, population: Population, split: str, agent:
     return StrangersReport(population.label, split, agent, names, partners, reports)
 
 
-def read_report(folder: Path, population: Population) -> StrangersReport:
-    """Compute the report of an output folder of `strangers` from the stored results of its episodes."""
+class Entry(NamedTuple):
+    """Content of `strangers.json`: population, families of partners, agent, and labels (giver, receiver) of pairs."""
+
+    population: str
+    partner_split: str
+    agent: str
+    pairs: list[PolicyPair]
+
+
+def read_entry(folder: Path) -> Entry:
+    """Read `strangers.json` in an output folder of `strangers`; raise `ResultsError` if that fails."""
     path = folder / ENTRY_FILE
     try:
         content = json.loads(read_plain_file(path, _MAX_BYTES))
-        name, split, agent = (str(content[key]) for key in _ENTRY)
         pairs = [(str(giver), str(receiver)) for giver, receiver in content["pairs"]]
-        if agent not in OTHER_AGENT:
+        population, partner_split, agent = (str(content[key]) for key in ("population", "partner_split", "agent"))
+        entry = Entry(population, partner_split, agent, pairs)
+        if entry.agent not in OTHER_AGENT:
             raise ValueError(f"agent must be one of {', '.join(OTHER_AGENT)}")
     except FileNotFoundError as error:
         raise ResultsError(
@@ -252,9 +262,17 @@ def read_report(folder: Path, population: Population) -> StrangersReport:
         ) from error
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise ResultsError(f"{path}: not a readable evaluation with strangers ({shorten_text(error)})") from error
-    if name != population.label:
-        raise OptionError(f"{folder} must be of population {population.label}, got {name}; pass the population's file")
-    return make_report(_load_crossplay(folder, pairs), population, split, agent)
+    return entry
+
+
+def read_report(folder: Path, population: Population) -> StrangersReport:
+    """Compute the report of an output folder of `strangers` from the stored results of its episodes."""
+    entry = read_entry(folder)
+    if entry.population != population.label:
+        raise OptionError(
+            f"{folder} must be of population {population.label}, got {entry.population}; pass the population's file"
+        )
+    return make_report(_load_crossplay(folder, entry.pairs), population, entry.partner_split, entry.agent)
 
 
 def _load_crossplay(folder: Path, pairs: Sequence[PolicyPair]) -> CrossPlay:

@@ -59,6 +59,8 @@ def test_report_and_files(fake_data: Path, population: Path, evaluated: Path, tm
     assert report.families == {"timing": [0, 1]}
     assert all(each.n_resumed == 2 for each in report.reports.values())
     assert (out / "strangers.json").read_text() == (evaluated / "strangers.json").read_text()
+    with pytest.raises(OptionError, match="out must be a folder for population"):
+        run(fake_data, population, out=out, partners="all")
 
 
 def test_evenly_spaced_scenes_and_receivers_as_partners(
