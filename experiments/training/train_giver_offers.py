@@ -59,7 +59,8 @@ class Args(SetupArgs):
         episodes: Number of episodes.
         round_episodes: Number of episodes between trainings of the network.
         num_envs: Number of environments.
-        workers: Number of processes that simulate the environments, a multiple of the number of receivers.
+        workers: Number of processes that simulate the environments, on which the result depends; a multiple of the
+            number of receivers.
         spread: Standard deviation of the random offers.
         candidates: Numbers of random offers of which the best is taken; each choice draws one of these numbers.
         width: Width of the two hidden layers of the network.

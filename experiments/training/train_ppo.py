@@ -57,7 +57,8 @@ class Args(RlArgs):
         initial: Policy file whose network is trained further, with its features, actions and control period; None
             trains a new network.
         minutes: Largest wall-clock time of the training (min), without the evaluation.
-        workers: Number of processes that simulate the environments; not used with the backend "warp".
+        workers: Number of processes that simulate the environments, on which the result depends; not used with the
+            backend "warp".
         backend: Backend of the environments: "threads" for MuJoCo on the processor, or "warp" for MuJoCo Warp.
         device: Device of environments and networks with the backend "warp": cuda, or cpu for tests.
         gripper_initial_std: Initial standard deviation of the output that closes a receiver's gripper.
@@ -281,7 +282,7 @@ def train(
     Args:
         args: Arguments of the training.
         agents: Agents that learn.
-        workers: Number of processes that simulate the environments.
+        workers: Number of processes that simulate the environments, on which the result depends.
         sees_both: Whether the value function of an agent observes the features of both.
         gripper_std: Initial standard deviation of the last output; default: as for the other outputs.
         initial: Network with which the policy starts; None: a new one.

@@ -142,6 +142,7 @@ def joints(client: BulletClient, urdf: Path) -> dict[str, tuple[Any, ...]]:
     return {info[12].decode(): (info[1], info[2], *info[6:16]) for info in infos}
 
 
+@pytest.mark.slow
 def test_joints_are_those_of_the_plain_panda() -> None:
     client = connect()
     plain, camera = joints(client, PANDA_URDF), joints(client, CAMERA_PANDA_URDF)

@@ -34,6 +34,7 @@ def test_defaults_of_commands_are_those_of_the_configuration(arguments: type[Pai
     assert arguments().make_config() == EvaluationConfig()
 
 
+@pytest.mark.slow
 def test_benchmark_and_report(
     fake_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -49,6 +49,7 @@ def test_commands_build_a_folder(work: Path, capsys: pytest.CaptureFixture[str])
     assert (work / "scene.png").stat().st_size > 1000
 
 
+@pytest.mark.slow
 def test_preview_of_a_refused_recording(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("matplotlib", reason="needs the extra `plot`")
     assert main(["scenes", *MUG, "--time", "us", "--hand", "none", "--preview", "refused.png"]) == 2

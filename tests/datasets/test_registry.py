@@ -34,6 +34,7 @@ def test_official_setups_and_scenes_are_the_default() -> None:
         dataset.check_scene_id(1000)
 
 
+@pytest.mark.slow
 def test_environment_of_another_data_set() -> None:
     dataset = open_dataset(NAME)
     env = handover_marl.parallel_env(dataset=NAME, split="train", physics="fast", scenes=SCENES)

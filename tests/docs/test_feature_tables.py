@@ -192,6 +192,7 @@ def test_features_have_the_described_values(agent: str, name: str) -> None:
         np.testing.assert_allclose(features[column.place], expected, atol=1e-4, err_msg=column.name)
 
 
+@pytest.mark.slow
 def test_stacked_features_begin_with_those_of_the_present_decision() -> None:
     single, stacked = SingleFeatures("receiver", "close", CONTEXT), SingleFeatures("receiver", "close_stack", CONTEXT)
     times = [0.0, 0.2, 0.2, 0.4, 0.6, 0.8]

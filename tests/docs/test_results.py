@@ -74,6 +74,7 @@ def test_a_wrong_interval_is_found() -> None:
     assert sum(find_wrong_intervals(page.read_text())[1] for page in RATE_PAGES) > 150
 
 
+@pytest.mark.slow
 def test_pages_are_made_from_stored_outcomes_of_whole_splits() -> None:
     evaluations = make_results.read_evaluations()
     for one in evaluations:

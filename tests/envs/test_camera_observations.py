@@ -80,6 +80,7 @@ def test_looking_changes_nothing_else() -> None:
     assert_equal(blind, [{key: value for key, value in seen.items() if key not in POINTCLOUD} for seen in seeing])
 
 
+@pytest.mark.slow
 def test_episodes_draw_noise_of_their_own() -> None:
     env = make(obs_mode="state+rgbd+segmentation", camera_noise="realsense", scenes=[5])
     first = env.reset(seed=0)[0]["receiver"]["wrist_depth"]
@@ -89,6 +90,7 @@ def test_episodes_draw_noise_of_their_own() -> None:
     env.close()
 
 
+@pytest.mark.slow
 def test_a_look_is_the_view_of_the_moment() -> None:
     env = make(obs_mode="state+rgbd+segmentation", **TEST)
     with pytest.raises(ResetNeededError):

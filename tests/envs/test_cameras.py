@@ -165,6 +165,7 @@ def test_infos_have_the_calibration(autoreset: str) -> None:
     envs.close()
 
 
+@pytest.mark.slow
 def test_wrist_camera_is_the_same_beside_others() -> None:
     env, alone = make(), make(cameras=("wrist",))
     both, one = observe(env, 2), observe(alone, 2)

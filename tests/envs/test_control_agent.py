@@ -54,6 +54,7 @@ def test_benchmark_view_equals_the_two_agent_world(fake_data: Path) -> None:
         theirs = world.step({"receiver": START, "giver": REPLAY})[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("agent", ["receiver", "giver"])
 def test_the_partners_action_is_not_taken_from_outside(fake_data: Path, agent: str) -> None:
     """An action for the partner is refused, and the episode continues as without this call."""

@@ -209,6 +209,7 @@ def test_discounts_reach_the_shaping_terms() -> None:
     assert set_discount(f"{MODULE}:approach", 0.5) == f"{MODULE}:approach"
 
 
+@pytest.mark.slow
 def test_shaped_rewards_in_a_combination_are_the_shaped_rewards(make: Make) -> None:
     plain = rollout(make("shaped"), 5)
     combined = rollout(make(combine_rewards("shaped", (0.5, approach), RewardWeights(giver={"time": -1.0}))), 5)
@@ -221,6 +222,7 @@ def test_shaped_rewards_in_a_combination_are_the_shaped_rewards(make: Make) -> N
     assert any(result[1]["receiver"] != 0.0 for result in own[1:])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("physics", ["fast", "mujoco"])
 def test_vector_environments_have_the_rewards_of_single_ones(physics: str, make: Make) -> None:
     options: dict[str, Any] = {"physics": physics, "dataset": "synthetic", "max_cycles": 4}

@@ -176,6 +176,7 @@ def test_after_a_failed_reset_there_is_no_episode(own_data: Path) -> None:
             call()
 
 
+@pytest.mark.slow
 def test_pictures_without_a_screen(fake_data: Path) -> None:
     env = make(fake_data, render_mode="rgb_array", camera=CameraConfig(width=160, height=120))
     env.reset(options={"scene_id": 9})

@@ -95,6 +95,7 @@ def test_sparse_is_success_alone() -> None:
     assert terms(outcomes, {}, {}, EpisodeStatus.HUMAN_CONTACT)["giver"] == {"contact": -3.0}
 
 
+@pytest.mark.slow
 @given(st.lists(situations, min_size=2, max_size=8), st.sampled_from([SUCCESS, EpisodeStatus.HUMAN_CONTACT]))
 def test_discounted_shaping_depends_only_on_the_first_state(path: list[State], end: EpisodeStatus) -> None:
     shaped = Rewards(SHAPED, path[0])

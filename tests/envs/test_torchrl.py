@@ -7,11 +7,10 @@ import handover_marl
 
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
 torchrl_envs = pytest.importorskip("torchrl.envs", reason="needs the extra `torchrl`")
-pytestmark = [pytest.mark.filterwarnings("ignore")]
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]
 OPTIONS = {"dataset": "synthetic", "physics": "fast", "control_period": 0.2, "max_cycles": 10}
 
 
-@pytest.mark.slow
 def test_the_two_agent_environment() -> None:
     from torchrl.envs.utils import check_env_specs
 
@@ -36,7 +35,6 @@ def test_wrapped_environments(frozen: bool) -> None:
     env.close()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("autoreset", "encoded"), [("disabled", False), ("same_step", True)])
 def test_vector_environments(autoreset: str, encoded: bool) -> None:
     from torchrl.envs.utils import check_env_specs

@@ -48,6 +48,7 @@ def make() -> HandoverEnv:
     return handover_marl.parallel_env(**OPTIONS)
 
 
+@pytest.mark.slow
 def test_a_wrapper_changes_what_the_learner_gets_and_not_the_partner() -> None:
     plain = handover_marl.control_agent(make(), "receiver", "cooperative")
     shifted = handover_marl.control_agent(Cost(make()), "receiver", "cooperative")

@@ -109,6 +109,7 @@ def test_observations_are_elements_of_their_space(world: World, obs_mode: str) -
         assert (value.shape, value.dtype) == (space[key].shape, space[key].dtype)
 
 
+@pytest.mark.slow
 def test_a_combination_has_what_its_parts_have(world: World) -> None:
     parts = ("depth", "rgb", SCENE_POINTCLOUD)
     for options in ({}, {"camera_noise": NOISY}):

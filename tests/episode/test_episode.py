@@ -74,6 +74,7 @@ def test_steps_with_callbacks_equal_rollouts(batch_episode: Episode, monkeypatch
     assert steps == list(range(1, episode.steps + 1))
 
 
+@pytest.mark.slow
 def test_voluntary_release(episode: Episode) -> None:
     assert not episode.object_offered
     episode.advance(START, 100, RELEASE)

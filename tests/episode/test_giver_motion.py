@@ -86,6 +86,7 @@ def test_a_reset_starts_at_the_first_frame() -> None:
     np.testing.assert_array_equal(angles, [scene.hand_dof[0, 3:6], scene.object_dof[0, 0, 3:]])
 
 
+@pytest.mark.slow
 @settings(max_examples=10)
 @given(
     st.tuples(*[st.floats(-0.3, 0.3)] * 3).filter(lambda shift: np.linalg.norm(shift) > 1e-3),
@@ -106,6 +107,7 @@ def test_hand_and_object_move_as_one_about_the_wrist(shift: tuple[float, ...], t
     np.testing.assert_array_equal(after.objects[:, 1:], np.tile(before.objects[-1, 1:], (3000, 1, 1)))
 
 
+@pytest.mark.slow
 def test_deviations_come_at_a_human_pace_and_without_jumps() -> None:
     played = held()
     rows = [advance(played, 1)]

@@ -68,6 +68,7 @@ def test_pairs_are_evaluated_on_val_by_default() -> None:
         handover_marl.evaluate_pair("replay", "hold", split="test", **options)
 
 
+@pytest.mark.slow
 def test_results_are_official_files(fake_data: Path, tmp_path: Path) -> None:
     report = run(fake_data, tmp_path)
     assert [episode.scene_id for episode in report.episodes] == [9, 14]
@@ -136,6 +137,7 @@ def test_folders_of_another_evaluation_are_unchanged(fake_data: Path, own_data: 
     assert before == {path.name: path.read_bytes() for path in out.iterdir()}
 
 
+@pytest.mark.slow
 def test_a_full_disk_loses_nothing(fake_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write, calls = os.fsync, []
 
@@ -219,6 +221,7 @@ def official_folder(folder: Path, n: int = 144, **changes: Any) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_folders_of_the_original_code(tmp_path: Path) -> None:
     report = load_report(official_folder(tmp_path / "2022-02-28_12-40-26_omg-planner_s0_test"))
     assert report.metadata.receiver == "omg-planner"

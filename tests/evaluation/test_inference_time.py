@@ -15,6 +15,8 @@ from handover_marl.evaluation.reports.report import Report
 from tests.docs.pages import REPOSITORY, checked_table
 from tests.evaluation.quick import SHORT
 
+pytestmark = pytest.mark.slow
+
 SCENE = 19
 LATE = 0.05  # s
 OPTIONS: dict[str, Any] = {

@@ -46,6 +46,7 @@ def test_failed_episodes_of_a_finished_run_are_simulated_again_once(
     assert replays(tmp_path) == []
 
 
+@pytest.mark.slow
 def test_another_outcome_on_replay_is_an_error(fake_data: Path, tmp_path: Path) -> None:
     run(fake_data, tmp_path, scenes=[9])
     (result,) = read_results(tmp_path)

@@ -144,6 +144,7 @@ def test_the_text_of_a_verification() -> None:
     assert equal.is_verified
 
 
+@pytest.mark.slow
 def test_values_of_a_report_are_compared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert check_reports(write_results(tmp_path)) == ([], 0), "there is no report"
     write_report(tmp_path, load_report(tmp_path))

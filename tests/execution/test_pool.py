@@ -73,6 +73,7 @@ def test_a_killed_worker_is_reported_and_replaced() -> None:
         assert sorted(pool.map_unordered(lambda: nullcontext(work), [3, 4])) == [(0, 3), (1, 4)]
 
 
+@pytest.mark.slow
 def test_closing_ends_running_tasks() -> None:
     def work(task: int) -> int:
         time.sleep(60.0 * task)

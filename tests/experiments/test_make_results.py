@@ -83,6 +83,7 @@ def test_stored_outcomes_are_printed(pages: Path, tmp_path: Path) -> None:
     assert log.count(",a test\n") == 3
 
 
+@pytest.mark.slow
 def test_adding_twice_changes_nothing(pages: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(make_results, "draw_figure", lambda evaluations, path: None)
     before = len(make_results.read_evaluations())

@@ -46,6 +46,7 @@ def volume(mesh: VisualMesh) -> float:
     return float(np.linalg.det(mesh.vertices[mesh.faces].astype(np.float64)).sum() / 6.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "urdf", [ASSETS.table, ASSETS.panda, ASSETS.hand, ASSETS.objects[0]], ids=lambda path: path.stem
 )

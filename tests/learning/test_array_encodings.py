@@ -34,6 +34,8 @@ from tests.learning.array_encodings import (
     select,
 )
 
+pytestmark = pytest.mark.slow
+
 
 def test_selected_grasps_have_the_lowest_cost() -> None:
     """Every grasp that would cost less than the selected one, if it were in reach, is out of reach."""
@@ -148,7 +150,6 @@ def assert_equal(found: Any, expected: np.ndarray, tolerance: float = 2e-6) -> N
     np.testing.assert_allclose(own, expected, rtol=tolerance, atol=tolerance)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("agent", "name"), FEATURES)
 def test_features_of_tensors(agent: str, name: str, arrays: ArrayFactory) -> None:
     host = make_array_features(agent, name, CONTEXT, LowestCostGraspSelector(CONTEXT, N_ROWS), N_ROWS)
@@ -157,7 +158,6 @@ def test_features_of_tensors(agent: str, name: str, arrays: ArrayFactory) -> Non
         assert_equal(batch(own_rows, tensors), host(rows, observation))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("agent", "name"), SCHEMES)
 def test_actions_of_tensors(agent: str, name: str, arrays: ArrayFactory) -> None:
     host = make_array_scheme(agent, name, CONTEXT, LowestCostGraspSelector(CONTEXT, N_ROWS), N_ROWS)

@@ -82,6 +82,7 @@ def quaternion(vector: np.ndarray) -> np.ndarray:
     return np.append(np.sinc(half / np.pi) / 2.0 * vector, np.cos(half))
 
 
+@pytest.mark.slow
 @given(seeds)
 def test_the_best_grasp_is_that_of_an_observation_of_the_offered_object(seed: int) -> None:
     """The hand moves with the object, so clearances are those of the present observation."""

@@ -150,6 +150,7 @@ def test_grasp_servo_stays_closed() -> None:
     assert scheme.compute_action(seen(time=np.float32([3.0])))[7] == np.float32(0.04)
 
 
+@pytest.mark.slow
 def test_chosen_grasp_is_kept_while_observations_are_equal() -> None:
     selector, observation = LowestCostGraspSelector(CONTEXT, 1), seen()
     pose = observation["object_poses"].copy()

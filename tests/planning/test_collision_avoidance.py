@@ -54,6 +54,7 @@ def approach_speed(velocity: np.ndarray, body: MovingBody) -> float:
     return (clearances[0] - clearances[1]) / step
 
 
+@pytest.mark.slow
 @given(vectors, st.floats(0.005, 0.2))
 def test_clearance_decreases_slowly(velocity: np.ndarray, clearance: float) -> None:
     body = make_body(clearance, 0.03)

@@ -50,6 +50,7 @@ def test_capsules_fill_the_simulated_hand(observation: Observation) -> None:
     assert max(capsules.compute_distances(surfaces[index]).max() for index in tips) < 0.0
 
 
+@pytest.mark.slow
 @given(numbers, numbers, numbers)
 def test_attached_pose_moves_with_the_hand(
     observation: Observation, translation: np.ndarray, rotation_vector: np.ndarray, position: np.ndarray

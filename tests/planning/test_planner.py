@@ -123,6 +123,7 @@ def make_wall(x: float) -> Obstacle:
     return Obstacle(field, np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]), 0.2)
 
 
+@pytest.mark.slow
 def test_colliding_goals_are_dropped(goals: GoalSet) -> None:
     assert len(make_builder().build(grasps(), [make_wall(0.2)], None)) == 0
     assert len(make_builder().build(grasps(), [make_wall(0.9)], None)) == len(goals)

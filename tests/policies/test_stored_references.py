@@ -24,6 +24,8 @@ from handover_marl.policies.populations import load_population
 from handover_marl.policies.reference import parse_policy
 from tests.evaluation.strangers.populations import GIVERS, RECEIVERS, write_population
 
+pytestmark = pytest.mark.slow
+
 MODULE = "module_of_a_stranger"
 CODE = f"""
 from pathlib import Path
@@ -124,7 +126,6 @@ READERS: dict[str, Callable[[bool], object]] = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("reader", READERS)
 def test_names_in_files_need_trust(reader: str) -> None:
     with pytest.raises(UnsafeFileError, match=rf"{MODULE}:\w+' must not be imported .* pass trust=True \(--trust\)"):
@@ -134,7 +135,6 @@ def test_names_in_files_need_trust(reader: str) -> None:
     assert Path("imported").exists()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "read",
     [

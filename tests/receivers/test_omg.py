@@ -79,6 +79,7 @@ def test_retreat_is_straight(handover_observation: Observation) -> None:
     np.testing.assert_allclose(points[count:], np.tile(goal, (40 - count, 1)), atol=2e-3)
 
 
+@pytest.mark.slow
 def test_commands_do_not_depend_on_the_call_period(handover_observation: Observation) -> None:
     receiver, commands = make_omg(), []
     for period in (None, 10):

@@ -38,6 +38,7 @@ def test_wrist_view() -> None:
     episode.close()
 
 
+@pytest.mark.slow
 def test_render_command_wrist_view(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

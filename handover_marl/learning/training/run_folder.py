@@ -29,8 +29,8 @@ _INPUT_CLIP = 5.0
 _MAX_CHECKPOINT_BYTES = 20_000_000_000
 # Arguments that may change when a run is resumed: durations and paths.
 _MUTABLE_ARGS = ("resume", "out", "data_dir", "decisions", "minutes")
-# Arguments that the description of a policy's training omits: paths, and those without effect.
-_UNRECORDED_ARGUMENTS = ("out", "data_dir", "resume", "workers")
+# Arguments that the description of a policy's training omits.
+_UNRECORDED_ARGUMENTS = ("out", "data_dir", "resume")
 
 
 def spawn_seeds(count: int, *entropy: int) -> list[int]:
@@ -39,7 +39,7 @@ def spawn_seeds(count: int, *entropy: int) -> list[int]:
 
 
 def describe_origin(script: str, arguments: object) -> str:
-    """Return "experiments/training/SCRIPT.py name=value, ..." without paths, `resume` and `workers` of `arguments`."""
+    """Return "experiments/training/SCRIPT.py name=value, ..." without paths and `resume` of `arguments`."""
     parts = [f"{key}={value!r}" for key, value in vars(arguments).items() if key not in _UNRECORDED_ARGUMENTS]
     return f"experiments/training/{script}.py {', '.join(parts)}"
 

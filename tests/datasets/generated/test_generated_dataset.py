@@ -53,6 +53,7 @@ def test_scenes_equal_their_checksums_and_are_complete(name: str, scene_id: int)
     assert all(path.is_file() for path in (*scene.assets.objects, scene.assets.hand, scene.assets.panda))
 
 
+@pytest.mark.slow
 def test_scenes_depend_on_seed_and_number_alone() -> None:
     dataset = open_dataset(DEFAULT)
     first = hash_scene(dataset.load_scene(17))
@@ -64,6 +65,7 @@ def test_scenes_depend_on_seed_and_number_alone() -> None:
     assert hash_scene(open_dataset("generated:n=18,seed=7,left=0.4").load_scene(17)) == first
 
 
+@pytest.mark.slow
 def test_objects_differ_between_splits() -> None:
     dataset = GeneratedDataset("n=60,seed=1,procedural=1,objects=100")
     for scene_id in range(0, 60, 8):

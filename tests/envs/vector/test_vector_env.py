@@ -77,6 +77,7 @@ def rollout(envs: gymnasium.vector.VectorEnv[Any, Any, Any], steps: int, seed: i
     return said
 
 
+@pytest.mark.slow
 def test_features_may_leave_observations_as_they_are() -> None:
     plain, encoded = (
         handover_marl.vector_env(2, "receiver", "replay", threads=1, **OPTIONS, **encoding)
@@ -205,6 +206,7 @@ def test_the_next_episode_is_the_one_that_a_single_environment_draws() -> None:
     together.close()
 
 
+@pytest.mark.slow
 def test_cameras_have_the_seeds_of_single_environments(monkeypatch: pytest.MonkeyPatch) -> None:
     """A next episode that was started in advance and is not used takes no seed of the camera."""
     found, expected = [], []

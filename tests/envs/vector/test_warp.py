@@ -18,6 +18,8 @@ from handover_marl.geometry.arrays import to_numpy
 from handover_marl.learning.custom_encodings import declare_size
 from tests.helpers.fake_device import DEVICE, DeviceTensor
 
+pytestmark = pytest.mark.slow
+
 # As many environments as there are worlds in the tests of MuJoCo Warp, so that they share kernels.
 COUNT = 3
 OPTIONS: dict[str, Any] = {
@@ -29,7 +31,6 @@ OPTIONS: dict[str, Any] = {
 }
 
 
-@pytest.mark.slow
 def test_receivers_of_both_backends_agree() -> None:
     arrays = handover_marl.vector_env(COUNT, "receiver", "noisy", **OPTIONS)
     tensors = handover_marl.vector_env(COUNT, "receiver", "noisy", backend="warp", **OPTIONS)
@@ -60,7 +61,6 @@ def compare(found: dict[str, Any], expected: dict[str, Any]) -> None:
         np.testing.assert_allclose(found[key], values, atol=tolerance, err_msg=key)
 
 
-@pytest.mark.slow
 def test_environments_can_be_stepped_in_the_inference_mode_of_a_collector() -> None:
     envs = handover_marl.vector_env(COUNT, "receiver", "replay", backend="warp", **OPTIONS)
     with torch.inference_mode():
@@ -74,7 +74,6 @@ def test_environments_can_be_stepped_in_the_inference_mode_of_a_collector() -> N
     envs.close()
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("emulated_gpu")
 @pytest.mark.parametrize(
     ("agent", "partner", "options"),
@@ -123,7 +122,6 @@ def assert_same_points(found: dict[str, np.ndarray], expected: dict[str, np.ndar
         assert not found[key][len(own) :].any()
 
 
-@pytest.mark.slow
 def test_clouds_equal_those_of_single_environments() -> None:
     options: dict[str, Any] = {"obs_mode": "state+scene_pointcloud+point_map", "camera_model": "pinhole"}
     envs = handover_marl.vector_env(COUNT, **WARP, **RECEIVERS, **options)
@@ -143,7 +141,6 @@ def test_clouds_equal_those_of_single_environments() -> None:
     envs.close()
 
 
-@pytest.mark.slow
 def test_spaces_contain_observations() -> None:
     envs = handover_marl.vector_env(COUNT, obs_mode="state+rgbd+segmentation+pointcloud", **WARP, **RECEIVERS)
     observations, _ = envs.reset(seed=SEED)
@@ -154,7 +151,6 @@ def test_spaces_contain_observations() -> None:
     envs.close()
 
 
-@pytest.mark.slow
 def test_episodes_and_their_clouds_repeat(monkeypatch: pytest.MonkeyPatch) -> None:
     """Clouds depend on the seed of an environment, neither on the others nor on the size of chunks."""
     monkeypatch.setattr(warp_sensors, "N_POINTS", 32)
@@ -183,7 +179,6 @@ def move(outputs: np.ndarray, observation: dict[str, Any]) -> np.ndarray:
     return np.asarray(observation["robot_joint_position"])
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "message"),
     [

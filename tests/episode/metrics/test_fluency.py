@@ -82,6 +82,7 @@ def test_the_delay_is_between_the_last_activities_before_the_release() -> None:
     assert found.functional_delay == exactly((3.18 - 2.62) / 5.0)
 
 
+@pytest.mark.slow
 def test_the_margin_at_a_contact_is_that_of_the_last_sample(monkeypatch: pytest.MonkeyPatch) -> None:
     """At a contact the distance is 0, so that the margin is minus the protective distance at that time."""
     protective = np.array([0.3, 0.1, 0.2, 0.15])

@@ -104,6 +104,7 @@ def check_replay(demonstrations: Demonstrations, config: WorldConfig, obs_mode: 
         episode.close()
 
 
+@pytest.mark.slow
 def test_both_agents_and_the_camera_are_replayed(out: Path) -> None:
     demonstrations = Demonstrations(out)
     for demonstration in demonstrations:

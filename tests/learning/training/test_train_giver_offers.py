@@ -18,6 +18,7 @@ def _train(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return script("train_giver_offers", monkeypatch)
 
 
+@pytest.mark.slow
 def test_the_network_learns_which_offers_succeed_and_how_fast(train: ModuleType) -> None:
     """Offers succeed where the first two features have the same sign, and faster with a large third one."""
     rng = np.random.default_rng(0)

@@ -21,6 +21,7 @@ def _train(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return script("train_receiver_dagger", monkeypatch)
 
 
+@pytest.mark.slow
 def test_the_network_learns_the_experts_outputs(train: ModuleType) -> None:
     rng = np.random.default_rng(0)
     features = (3.0 + 2.0 * rng.standard_normal((2000, 4))).astype(np.float32)

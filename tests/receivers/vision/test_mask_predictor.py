@@ -32,6 +32,7 @@ SCENE, STEPS = DATA.load_scene(9), 2000
 NAMES = ("object", "hand", "other")
 
 
+@pytest.mark.slow
 def test_true_labels_give_the_true_clouds() -> None:
     """Late images with depth noise; in addition, far points of the object and pixels without a depth are left out."""
     noise = CameraNoise(depth_noise_std=0.001, edge_dropout=0.2, latency=0.05)

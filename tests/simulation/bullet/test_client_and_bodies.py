@@ -26,6 +26,7 @@ from handover_marl.simulation.bullet.client import connect
 from handover_marl.simulation.bullet.kinematics import BulletIKSolver, BulletIKStep
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="X11 is Linux's way to a screen")
 def test_missing_x_server_is_an_error_also_without_stderr() -> None:
     code = (
@@ -79,6 +80,7 @@ def test_models_that_are_something_else(
         kind(connect(), fake_data / "assets" / URDFS[other], *arguments)
 
 
+@pytest.mark.slow
 def test_a_panda_without_a_link(tmp_path: Path) -> None:
     urdf = shutil.copytree(PANDA_URDF.parent, tmp_path / "panda") / PANDA_URDF.name
     urdf.write_text(urdf.read_text().replace('"panda_leftfinger"', '"renamed"'))

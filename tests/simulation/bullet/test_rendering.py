@@ -44,6 +44,7 @@ def played(request: pytest.FixtureRequest) -> Iterator[FinishedEpisode]:
     episode.close()
 
 
+@pytest.mark.slow
 def test_images_of_earlier_steps_are_bit_equal_in_any_order(played: FinishedEpisode) -> None:
     episode, moments, photos = played
     assert moments[0].hand is None
@@ -61,6 +62,7 @@ def test_images_of_earlier_steps_are_bit_equal_in_any_order(played: FinishedEpis
     np.testing.assert_array_equal(episode.world.render_camera(None, color=True).rgb, photos[-1].rgb)
 
 
+@pytest.mark.slow
 def test_bodies_of_the_previous_scene_are_removed(played: FinishedEpisode) -> None:
     episode, fresh, scene = played[0], Episode("fast"), DATA.load_scene(209)
     for world in (episode, fresh):

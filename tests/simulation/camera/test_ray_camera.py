@@ -101,6 +101,7 @@ def test_rays_match_the_engine_for_random_poses(stands: dict[int, Stand], scene_
         assert_targets_equal_the_whole_image(stand.rays, now)
 
 
+@pytest.mark.slow
 def test_rays_match_the_engine_for_far_objects(stands: dict[int, Stand]) -> None:
     """Both renderers agree up to the far plane and across it; the engine omits triangles far smaller than a pixel."""
     stand, rng = stands[9], np.random.default_rng(4)

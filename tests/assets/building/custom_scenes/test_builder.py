@@ -184,6 +184,7 @@ def test_objects_that_cannot_be_added(scenes: CustomSceneFolder, name: str) -> N
     assert read_files(scenes.folder) == before
 
 
+@pytest.mark.slow
 def test_grasps_do_not_depend_on_the_number_of_workers(tmp_path: Path) -> None:
     folders = [tmp_path / str(workers) / "boxes" for workers in (1, 2)]
     for workers, folder in enumerate(folders, start=1):

@@ -19,11 +19,12 @@ from handover_marl.receivers import make
 from tests.helpers.short_episodes import shorten_episodes
 from tests.learning.training.scripts import evaluate_hold, script
 
+pytestmark = pytest.mark.slow
+
 # Few scenes, because each one is generated when it is loaded.
 SCENES = (11, 12)
 
 
-@pytest.mark.slow
 def test_interrupted_run_is_resumed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -54,7 +55,6 @@ def test_interrupted_run_is_resumed(
     assert receiver.label.startswith("gaddpg@own weights ")
 
 
-@pytest.mark.slow
 def test_states_depend_on_the_seed_only() -> None:
     data = SyntheticDataset(robot="panda_camera")
     generator, other = (DataGenerator(data, SCENES[:1], 0) for _ in range(2))

@@ -24,6 +24,8 @@ from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.policies.policy import make_policy_context
 from tests.learning.training.scripts import QUICK_REACTIVE
 
+pytestmark = pytest.mark.slow
+
 pytest.importorskip("embreex")
 DATA = open_dataset("synthetic")
 SCENE = DATA.load_scene(9)
@@ -35,7 +37,6 @@ def renderer() -> ViewRenderer:
     return ViewRenderer(DATA, 12, 0, QUICK_REACTIVE)
 
 
-@pytest.mark.slow
 def test_views_contain_object_hand_and_grasps_that_enclose_the_object(renderer: ViewRenderer) -> None:
     views = renderer.render_scene(9)
     assert len(views.object_points) > 8
@@ -53,7 +54,6 @@ def test_views_contain_object_hand_and_grasps_that_enclose_the_object(renderer: 
     assert some[quality[:, 0] > 0.1].float().mean() > 0.8
 
 
-@pytest.mark.slow
 def test_motion_is_the_recorded_one(renderer: ViewRenderer) -> None:
     context = make_policy_context(DATA)
     path = SCENE.object_dof[:, 0, :3].astype(float)
@@ -65,7 +65,6 @@ def test_motion_is_the_recorded_one(renderer: ViewRenderer) -> None:
     np.testing.assert_allclose(turn.apply(seen.object_velocity[0]), (path[frame] - path[frame - 50]) / 0.05, atol=2e-2)
 
 
-@pytest.mark.slow
 def test_hand_lowers_qualities_and_offset_grasps_are_clear_of_it(renderer: ViewRenderer) -> None:
     name, pose, hand = SCENE.info.target_name, read_object_pose(SCENE, LAST), read_hand_spheres(SCENE, LAST)
     known, more = (renderer.load_grasps(name, spheres, pose) for spheres in (None, hand))
@@ -79,7 +78,6 @@ def test_hand_lowers_qualities_and_offset_grasps_are_clear_of_it(renderer: ViewR
     assert (renderer.compute_qualities(more, hand, pose)[count:] > MIN_QUALITY).all()
 
 
-@pytest.mark.slow
 def test_files_do_not_depend_on_other_scenes_and_are_kept(tmp_path: Path) -> None:
     def make_renderer() -> Callable[[int], GraspViews]:
         return ViewRenderer(DATA, 2, 0, QUICK_REACTIVE).render_scene

@@ -3,6 +3,7 @@
 from typing import Any
 
 import numpy as np
+import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
@@ -45,6 +46,7 @@ def test_the_place_on_the_table_does_not_matter_but_the_height_does() -> None:
         assert not torch.allclose(network(points, margins + 1.0, links), found, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_short_training_separates_a_ball_from_a_plate() -> None:
     torch.manual_seed(0)
     learner = PointSegmentationLearner(PointSegmentationNetwork(N_CLASSES), 40, torch.device("cpu"))

@@ -26,6 +26,8 @@ from handover_marl.simulation.mujoco.world import MujocoWorld
 from handover_marl.simulation.reference_tracking import ReferenceMotion
 from handover_marl.simulation.world import RolloutContacts, RolloutEnd
 
+pytestmark = pytest.mark.slow
+
 # The fingers start near the objects, so that they close in few steps.
 PANDA = replace(PandaConfig(), start_joints=(*PandaConfig().start_joints[:7], 0.026, 0.026))
 CONFIG, RULES = PhysicsConfig(panda=PANDA), ProtocolConfig()
@@ -101,7 +103,6 @@ def make_judge(contacts: list[RolloutContacts], release_step: int = 0) -> Judge:
     return judge
 
 
-@pytest.mark.slow
 def test_grasps_agree_with_the_c_engine() -> None:
     worlds, contacts = WarpWorldBatch(CONFIG, 3, TENSORS), list[RolloutContacts]()
     roll_out(worlds, find_grasp_center(), 3, make_judge(contacts))
@@ -123,7 +124,6 @@ def test_grasps_agree_with_the_c_engine() -> None:
         np.testing.assert_allclose(state.object_poses[row, 0, 3:], expected.object_poses[0, 3:], atol=turns)
 
 
-@pytest.mark.slow
 def test_released_objects_lie_on_the_table() -> None:
     world = start_single(load_scenes()[0], ON_THE_TABLE)
     world.release_target()
@@ -138,7 +138,6 @@ def test_released_objects_lie_on_the_table() -> None:
     assert supported[1:] == expected[:-1], "an object falls from the step after its release on"
 
 
-@pytest.mark.slow
 def test_a_failed_simulation_raises_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(SimulationError, match="Nan"):
         roll_out(WarpWorldBatch(CONFIG, 3, TENSORS), (0.4, np.nan, 1.0), 1, make_judge([]))
