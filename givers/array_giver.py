@@ -9,7 +9,7 @@ import numpy as np
 from handover_marl.config import CheckedConfig
 from handover_marl.episode.observations import Observation
 from handover_marl.errors import OptionError
-from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, ArrayFactory, widen
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, ArrayFactory, get_namespace, widen
 from handover_marl.geometry.vectors import compute_lengths
 from handover_marl.policies.batch import Actions, ArrayPolicy, make_giver_actions
 from handover_marl.policies.policy import Giver, PolicyContext
@@ -75,6 +75,12 @@ class ArrayGiver(ArrayPolicy, Giver):
     def make_pauses(self, rows: AnyIndices, is_paused: AnyArray) -> Actions:
         """Make actions (r, 8) that pause the recording where `is_paused` (r,) is true, and replay it elsewhere."""
         return self.make_actions(rows, rate=self.arrays.xp.where(is_paused, _PAUSE, 0.0))
+
+
+def is_hand_previewed(observation: Observation) -> AnyArray:
+    """Return whether the hand is in the scene, and still will be at the last preview of the recorded motion, (r,)."""
+    is_recorded = get_namespace(observation["time"]).any(observation["replay_wrist_poses"][:, -1] != 0.0, axis=1)
+    return is_recorded & (observation["hand_present"][:, 0] != 0.0)
 
 
 def compute_gripper_object_distances(observation: Observation) -> AnyArray:

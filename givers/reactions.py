@@ -13,7 +13,12 @@ from handover_marl.geometry.panda import FINGERTIPS
 from handover_marl.geometry.poses import transform_points
 from handover_marl.geometry.rotations import quaternions_from_rotation_vectors, rotate_points
 from handover_marl.geometry.vectors import compute_dot_products, compute_lengths
-from handover_marl.givers.array_giver import ArrayGiver, compute_gripper_object_distances, compute_withdrawals
+from handover_marl.givers.array_giver import (
+    ArrayGiver,
+    compute_gripper_object_distances,
+    compute_withdrawals,
+    is_hand_previewed,
+)
 from handover_marl.policies.batch import Actions
 
 
@@ -125,7 +130,7 @@ class CooperativeGiver(ArrayGiver):
         """Return actions (r, 8): hold out the object towards the gripper, and withdraw the hand after the release."""
         xp, state = self.arrays.xp, self.state
         released = observation["released"][:, 0] != 0.0
-        present = observation["hand_present"][:, 0] != 0.0
+        present = is_hand_previewed(observation)
         near = compute_gripper_object_distances(observation) < self.near_distance
         chooses = xp.nonzero(~released & present & ~state["is_fixed"][rows])[0]
         if len(chooses):

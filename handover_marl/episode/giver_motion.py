@@ -51,12 +51,13 @@ class NumpyRecordings:
     def __init__(self, count: int) -> None:
         self._scenes: list[Scene | None] = [None] * count
         self._hand_present: list[npt.NDArray[np.bool_]] = [np.zeros(0, dtype=bool)] * count
+        self._hands: list[npt.NDArray[np.float32]] = [np.zeros((0, HAND_DOF), dtype=np.float32)] * count
         self._poses: list[npt.NDArray[np.float32]] = [np.zeros((0, 2, 7), dtype=np.float32)] * count
 
     def set_scene(self, row: int, scene: Scene) -> None:
         """Set the scene whose recording the giver with index `row` plays back."""
         self._scenes[row], self._hand_present[row] = scene, scene.is_hand_present(np.arange(scene.n_frames))
-        self._poses[row] = compute_recorded_poses(scene)
+        self._hands[row], self._poses[row] = extend_hand_bases(scene), compute_recorded_poses(scene)
 
     def read(self, rows: Indices, frames: Indices) -> ReferenceMotion:
         """Return copies (r, k, ...) of the joint positions of hand and objects in k recorded frames of each giver."""
@@ -67,7 +68,7 @@ class NumpyRecordings:
             scene, own = self._scenes[row], frames[index]
             if scene is None:
                 raise ValueError(f"giver {row} has no scene; call reset() first")
-            hand[index], present[index] = scene.hand_dof[own], self._hand_present[row][own]
+            hand[index], present[index] = self._hands[row][own], self._hand_present[row][own]
             objects[index, :, : scene.object_dof.shape[1]] = scene.object_dof[own]
         return ReferenceMotion(objects, hand, present)
 
@@ -103,7 +104,7 @@ class TensorRecordings:
             self._objects.extend(objects)
             self._present.extend(scene.is_hand_present(np.arange(scene.n_frames)))
             self._poses.extend(compute_recorded_poses(scene))
-            self._first_by_scene[key] = self._hand.extend(scene.hand_dof)
+            self._first_by_scene[key] = self._hand.extend(extend_hand_bases(scene))
         self._firsts[row] = self._first_by_scene[key]
 
     def read(self, rows: AnyArray, frames: AnyArray) -> ReferenceMotion:
@@ -372,6 +373,19 @@ def ramp_rates(rates: AnyArray, targets: AnyArray, max_slope: float, steps: int)
     limits = make_constant(tuple(range(1, steps + 1)), rates) * (max_slope * TIME_STEP)
     limited = xp.minimum(xp.maximum(change, -limits), limits)
     return xp.where(xp.abs(limited) < xp.abs(change), rates[:, None] + limited, targets[:, None])
+
+
+def extend_hand_bases(scene: Scene) -> npt.NDArray[np.float32]:
+    """Return the hand's joint positions (T, 51), whose base keeps the nearest pose in frames without a hand (m, rad).
+
+    An object that is held about the wrist does not jump when the recorded hand leaves.
+    """
+    if scene.hand_first is None or scene.hand_last is None:
+        return scene.hand_dof
+    hand, present = scene.hand_dof.copy(), slice(scene.hand_first, scene.hand_last + 1)
+    hand[: present.start, :BASE_JOINTS] = hand[present.start, :BASE_JOINTS]
+    hand[present.stop :, :BASE_JOINTS] = hand[scene.hand_last, :BASE_JOINTS]
+    return hand
 
 
 def compute_recorded_poses(scene: Scene) -> npt.NDArray[np.float32]:

@@ -17,7 +17,7 @@ from handover_marl.geometry.rotations import (
     rotation_vectors_from_quaternions,
 )
 from handover_marl.geometry.vectors import limit_lengths
-from handover_marl.givers.array_giver import compute_withdrawals
+from handover_marl.givers.array_giver import compute_withdrawals, is_hand_previewed
 from handover_marl.givers.reactions import HandoverPoseVariation
 from handover_marl.learning.action_scheme import ArrayScheme, InvertibleScheme, RawScheme
 from handover_marl.learning.array_features import compute_handover_frames, rotate_to_frame, rotate_to_world
@@ -99,7 +99,7 @@ class HandoverPoseScheme(ArrayScheme):
         moves = xp.astype(xp.max(xp.abs(coming - coming[:, -1:]), axis=(1, 2)), xp.float64)
         is_arriving = moves < self.arrival_tolerance
         is_late = xp.astype(observation["time"][:, 0], xp.float64) >= self.latest_decision_s
-        can = (observation["holding"][:, 0] != 0.0) & (observation["hand_present"][:, 0] != 0.0)
+        can = (observation["holding"][:, 0] != 0.0) & is_hand_previewed(observation)
         return ~self._has_decided[rows] & can & (is_arriving | is_late)
 
     def set_outputs(self, rows: AnyArray, outputs: AnyArray) -> None:

@@ -188,6 +188,8 @@ def test_cooperation_comes_towards_the_robot_and_turns_the_object_to_the_gripper
     action = make("cooperative").act(seen(replay_wrist_poses=coming))
     np.testing.assert_allclose(action[1:4], [0.0, -0.15, 0.0], atol=1e-6)
     np.testing.assert_allclose(action[4:7], np.zeros(3), atol=1e-6)
+    coming[3:] = 0.0  # the recorded hand leaves
+    assert not make("cooperative").act(seen(replay_wrist_poses=coming))[1:7].any()
     # A hand beside the object swings behind it.
     beside = np.float32([0.7, 0.3, 1.2, 0, 0, 0, 1])
     action = make("cooperative").act(seen(replay_wrist_poses=np.tile(beside, (5, 1))))

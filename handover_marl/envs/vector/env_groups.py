@@ -3,7 +3,7 @@
 import contextlib
 import gc
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -119,13 +119,13 @@ class ThreadedEnvGroup:
         """
         numbers = np.searchsorted(self._firsts, rows, side="right") - 1
         futures, group_indices = [], [np.flatnonzero(numbers == number) for number in range(len(self._groups))]
-        for group, first, indices in zip(self._groups, self._firsts, group_indices, strict=True):
-            if len(indices):
-                futures.append((indices, self._pool.submit(function, group, rows[indices] - first, indices)))
-        # All groups finish before the first error is raised.
-        errors = [error for _, future in futures if (error := future.exception()) is not None]
-        if errors:
-            raise errors[0]
+        try:
+            for group, first, indices in zip(self._groups, self._firsts, group_indices, strict=True):
+                if len(indices):
+                    futures.append((indices, self._pool.submit(function, group, rows[indices] - first, indices)))
+        finally:
+            # All groups finish before an error is raised, also if the caller is interrupted.
+            wait([future for _, future in futures])
         return merge_results(len(rows), [(indices, future.result()) for indices, future in futures])
 
 
@@ -149,7 +149,9 @@ class ProcessEnvGroup:
         self._process = context.Process(target=_run_worker, args=(child, pickle_by_value((make, count))), daemon=True)
         self._process.start()
         child.close()
-        self._is_ready = self._is_closed = False
+        self._is_closed = False
+        # Number of answers that the process owes: first that the environments are made, then one for each call.
+        self._n_awaited = 1
 
     def reset(self, rows: Indices, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
         """Start episodes in the environments `rows` (r,), with a seed for each; see `batch.EnvGroup.reset`."""
@@ -181,9 +183,10 @@ class ProcessEnvGroup:
     def _call(self, name: str, *arguments: Any) -> Any:
         """Call a method of the environments in the process; return its result, or raise its error or a WorkerError."""
         try:
-            if not self._is_ready:
+            # The answer to a call that was interrupted is dropped.
+            while self._n_awaited:
                 self._receive()
-                self._is_ready = True
+            self._n_awaited += 1
             self._pipe.send(pickle_by_value((name, arguments)))
             return self._receive()
         except (EOFError, OSError) as error:
@@ -193,6 +196,7 @@ class ProcessEnvGroup:
 
     def _receive(self) -> Any:
         result = self._pipe.recv()
+        self._n_awaited -= 1
         if isinstance(result, Exception):
             raise result
         return result

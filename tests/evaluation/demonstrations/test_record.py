@@ -21,15 +21,15 @@ from tests.evaluation.demonstrations.recording import HORIZON, OPTIONS, SCENES, 
 from tests.helpers.equality import read_files
 from tests.helpers.short_episodes import shorten_episodes
 
+pytestmark = pytest.mark.slow
 
-@pytest.mark.slow
+
 def test_data_do_not_depend_on_workers(out: Path, tmp_path: Path) -> None:
     record(tmp_path, workers=2, **OPTIONS)
     assert read_files(tmp_path / "demonstrations") == read_files(out / "demonstrations")
     assert sorted(read_files(tmp_path / "demonstrations")) == ["000.npz", "072.npz", "metadata.json"]
 
 
-@pytest.mark.slow
 def test_damaged_and_missing_episodes_are_simulated_again(out: Path, tmp_path: Path, played: list[int]) -> None:
     copy = shutil.copytree(out, tmp_path / "copy")
     path, whole = copy / "demonstrations" / "072.npz", read_files(out / "demonstrations")
@@ -42,7 +42,6 @@ def test_damaged_and_missing_episodes_are_simulated_again(out: Path, tmp_path: P
         assert read_files(copy / "demonstrations") == whole
 
 
-@pytest.mark.slow
 def test_recording_does_not_change_the_results(tmp_path: Path) -> None:
     """Results equal those of an evaluation without recording, although frames are observed between decisions."""
     options: dict[str, Any] = {"scenes": [5], "physics": "fast", "giver": "noisy"}
@@ -55,7 +54,6 @@ def test_recording_does_not_change_the_results(tmp_path: Path) -> None:
             np.testing.assert_array_equal(plain[key], recorded[key], err_msg=key)
 
 
-@pytest.mark.slow
 def test_frames_are_those_of_the_nearest_step(tmp_path: Path) -> None:
     """Frames at 30 per second, which fall between physics steps, equal those of a recording of every step."""
     options: dict[str, Any] = {"giver": "noisy", "scenes": SCENES[:1]}
@@ -104,7 +102,6 @@ def check_replay(demonstrations: Demonstrations, config: WorldConfig, obs_mode: 
         episode.close()
 
 
-@pytest.mark.slow
 def test_both_agents_and_the_camera_are_replayed(out: Path) -> None:
     demonstrations = Demonstrations(out)
     for demonstration in demonstrations:
@@ -119,7 +116,6 @@ def test_both_agents_and_the_camera_are_replayed(out: Path) -> None:
     check_replay(demonstrations, SHORT, "state+pointcloud")
 
 
-@pytest.mark.slow
 def test_only_successes_and_then_all(tmp_path: Path, played: list[int]) -> None:
     """Episodes that `keep` excluded are simulated again only if a later recording includes them."""
     options: dict[str, Any] = {"receiver": "yang2021:wait=0", "world_config": OFFICIAL_CONFIG, "scenes": [5, 10]}
@@ -161,7 +157,6 @@ def test_impossible_recordings_are_refused(
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.slow
 def test_the_command(
     fake_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
