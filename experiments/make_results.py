@@ -19,8 +19,8 @@ import tyro
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 import handover_marl
+from handover_marl.episode.camera_observations import BENCHMARK_SENSORS
 from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.evaluation.metadata import OFFICIAL_WORLD
 from handover_marl.evaluation.reports.published import PUBLISHED, PublishedResult
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.tables import (
@@ -59,6 +59,8 @@ MARKERS = {
     "s": "true poses of objects and hand\n(reactive, dagger: also the release)",
     "^": "point clouds",
 }
+#: Images of the benchmark's camera, without noise.
+OFFICIAL_CAMERA = BENCHMARK_SENSORS.describe("pointcloud", "exact")
 #: Published methods that are compared with each receiver.
 METHODS = {"yang2021": ("Yang",), "omg": ("OMG",), "gaddpg": ("GA-DDPG",)}
 
@@ -94,7 +96,7 @@ class Evaluation:
     def receiver(self) -> str:
         """Name and options of the receiver, without the waiting time and the hash of its own weights."""
         name, _, options = re.sub("@own weights [0-9a-f]+", "", self.report.metadata.receiver).partition(":")
-        return ":".join([name, *filter(None, [re.sub(r"wait=[\d.]+,?", "", options)])])
+        return ":".join([name, *filter(None, [re.sub(r"wait=[\d.]+,?", "", options).strip(",")])])
 
     @property
     def name(self) -> str:
@@ -137,8 +139,9 @@ def add_evaluation(folder: Path, purpose: str) -> None:
     """Store the outcomes of a result folder, replacing an earlier evaluation, and log that the test split was used."""
     report = handover_marl.load_report(folder)
     metadata = report.metadata
-    protocol = (metadata.world, metadata.split, metadata.giver, metadata.physics, metadata.inference_time)
-    if report.is_partial or protocol != (OFFICIAL_WORLD, "test", "replay", "exact", ""):
+    protocol = (metadata.split, metadata.giver, metadata.simulation_label, metadata.inference_time)
+    is_official = protocol == ("test", "replay", "exact physics", "") and metadata.camera in ("", OFFICIAL_CAMERA)
+    if report.is_partial or not is_official:
         raise SystemExit(f"{folder} must be an evaluation by the official protocol on a whole test split")
     added = Evaluation(report, folder)
     EPISODES.mkdir(exist_ok=True)

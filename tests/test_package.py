@@ -44,7 +44,7 @@ def test_a_program_beside_a_folder_of_the_same_name_imports_the_library_and_litt
         (handover_marl.evaluate_pair, set()),
         (handover_marl.demonstrate, set()),
         (handover_marl.crossplay, {"giver", "receiver"}),
-        (handover_marl.render_scene, {"setup", "split", "scenes"}),
+        (handover_marl.render_scene, {"split", "scenes"}),
     ],
 )
 def test_signatures_show_every_option(function: Callable[..., Any], left_out: set[str]) -> None:

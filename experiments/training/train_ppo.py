@@ -32,6 +32,7 @@ from torch.distributions import Normal
 import handover_marl
 from handover_marl.envs.agents import AGENTS
 from handover_marl.envs.custom_rewards import set_discount
+from handover_marl.errors import OptionError
 from handover_marl.geometry.arrays import make_tensor_factory
 from handover_marl.learning.adapters.modules import dense_network_from_layers
 from handover_marl.learning.custom_encodings import is_reference
@@ -290,6 +291,11 @@ def train(
         minutes: Largest wall-clock time (min).
         options: Arguments of `handover_marl.vector_env`.
     """
+    if args.num_envs % workers or args.batch_size % args.num_envs:
+        raise OptionError(
+            f"num_envs must be a multiple of workers, and batch_size of num_envs, got {args.num_envs} environments, "
+            f"{workers} workers and {args.batch_size} decisions an update"
+        )
     started, decisions = time.monotonic(), 0
     torch.manual_seed(args.seed)
     torch.set_num_threads(1)  # The networks are small, and the other cores simulate.
@@ -342,6 +348,13 @@ def main(args: Args) -> Path:
     initial = None
     if args.initial is not None:
         spec, initial, _ = read_policy(args.initial, agent)
+        if (initial.activation, initial.output) != ("tanh", "identity") or (
+            initial.bounds and initial.bounds.is_scaled
+        ):
+            raise OptionError(
+                f"initial must be a network with tanh layers and outputs that are not squashed, got {args.initial} "
+                f"with {initial.activation} layers and the output {initial.output}"
+            )
         args = replace(args, features=spec.features, action_scheme=spec.actions, control_period=spec.control_period)
     where = {"processes": 1} if args.backend == THREADS else {"backend": args.backend, "device": args.device}
     models = train(

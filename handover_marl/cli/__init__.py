@@ -1,5 +1,7 @@
 """Command-line program `handover-marl`."""
 
+import os
+import shutil
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -7,6 +9,9 @@ from pathlib import Path
 from handover_marl.cli.streams import discard_output, prepare_streams, print_message
 from handover_marl.errors import HandoverError
 from handover_marl.version import __version__
+
+# Help texts in much fewer columns take minutes, or never end.
+_MIN_COLUMNS = 40
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -25,6 +30,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if list(arguments) == ["--version"]:
             print(f"handover-marl {__version__}", flush=True)
             return 0
+        if shutil.get_terminal_size().columns < _MIN_COLUMNS:
+            os.environ["COLUMNS"] = str(_MIN_COLUMNS)
         # The user's policies are imported from the working directory, as with `python -m`; it is
         # searched last, so that its modules do not hide installed ones.
         sys.path.append(str(Path.cwd()))

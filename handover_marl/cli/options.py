@@ -157,7 +157,6 @@ class SceneArguments(ReceiverArguments):
 class RenderArguments(PairArguments):
     """Options of `render` that configure the scene and the giver."""
 
-    setup: _Hidden[str | None] = None
     split: _Hidden[str] = "test"
     scenes: _Hidden[tuple[int, ...] | None] = None
     receiver: _Hidden[str] = "yang2021"

@@ -28,7 +28,7 @@ from handover_marl.simulation.engines import FAST
 _EXECUTION, _VAL_PAIR, _VAL_SCENES = ExecutionArguments(), PairArguments(split="val"), SceneArguments(split="val")
 _STRANGERS, _TABLES = SceneArguments(physics=FAST), TableArguments()
 # Fields of `EvaluationConfig` that do not apply to a single scene, and the receiver, which has an option of its own.
-_SPLIT_FIELDS = {"setup", "split", "scenes", "receiver"}
+_SPLIT_FIELDS = {"split", "scenes", "receiver"}
 _Point = Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")]
 _Policies = Annotated[tuple[str, ...], tyro.conf.arg(metavar="POLICY [POLICY ...]")]
 _OptionalPolicies = Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="POLICY [POLICY ...]")]

@@ -249,7 +249,7 @@ class OfficialDataset(Dataset):
     def load_grasps(self, object_name: str) -> npt.NDArray[np.float64] | None:
         """Load robot grasps of a YCB class: gripper poses (n, 4, 4) in the object's frame (m), or None."""
         path = self._find_grasp_file(object_name)
-        return None if path is None else self._load_grasps(path)
+        return None if path is None else self._load_grasps(path).copy()
 
     def compute_fingerprint(self, scene_id: int) -> str:
         """Return a hash of a scene's meta, pose and grasp files, URDFs and mesh sizes."""

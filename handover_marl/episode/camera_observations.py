@@ -348,12 +348,15 @@ class CameraSensor:
         return image
 
     def _draw_camera(self) -> CameraDraw:
-        """Return the camera of the current episode, which depends on the seed, the scene and the camera's name."""
+        """Return the camera of the current episode, made from the seed, its name and the objects' first poses.
+
+        The scene's number would be hidden information, which receivers could read from the camera's errors.
+        """
         if self._episode_camera is None:
             self._episode_camera = CameraDraw(self._camera, self._config.noise, None)
             if self._randomization is not None and self._scene is not None:
-                name = int.from_bytes(self._camera_config.name.encode(), "big")
-                rng = np.random.default_rng((self._seed, self._scene.info.scene_id, name))
+                content = self._camera_config.name.encode() + self._scene.object_dof[0].tobytes()
+                rng = np.random.default_rng((self._seed, int.from_bytes(hashlib.sha256(content).digest()[:8], "big")))
                 self._episode_camera = self._randomization.draw(self._camera, self._config.noise, rng)
         return self._episode_camera
 

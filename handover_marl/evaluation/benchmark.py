@@ -67,7 +67,7 @@ def benchmark(
             simulated time.
         WorkerError: A worker process died; on Ray twice over the same scene.
     """
-    config, execution = build_configs(setup, options, execution, split=split, receiver=receiver)
+    config, execution = build_configs(benchmark, setup, options, execution, split=split, receiver=receiver)
     if config.world_config != OFFICIAL_CONFIG:
         raise OptionError("the official benchmark requires the official world and rules; use evaluate_pair for others")
     if config.giver != REPLAY:
@@ -94,17 +94,18 @@ def evaluate_pair(
             whole `handover_marl.EvaluationConfig`.
         receiver: The robot's policy: a registered name, a class or an instance, as for `benchmark`.
         setup: Official setup, "s0" to "s3", or a setup of other data; default: the first of the dataset.
-        split: "train", "val" or "test"; ignored if `giver` is a whole configuration.
+        split: "train", "val" or "test".
         execution: Execution settings; or pass its fields as options.
         options: Fields of `handover_marl.EvaluationConfig` and `handover_marl.ExecutionConfig`.
 
     Raises:
         HandoverError: The same errors as `benchmark`.
     """
-    if isinstance(giver, EvaluationConfig):
-        config, execution = build_configs(giver, options, execution)
-    else:
-        config, execution = build_configs(setup, options, execution, split=split, giver=giver, receiver=receiver)
+    whole = giver if isinstance(giver, EvaluationConfig) else None
+    arguments = {"setup": setup} if whole else {"giver": giver}
+    config, execution = build_configs(
+        evaluate_pair, whole or setup, options, execution, split=split, receiver=receiver, **arguments
+    )
     (report,) = run_evaluations([("", config)], execution)
     return report
 
@@ -176,6 +177,11 @@ def _prepare(
     config, dataset = resolve_config(config, execution.trust)
     split_ids = dataset.list_scenes(config.setup, config.split)
     if execution.shard is not None:
+        if execution.overwrite:
+            raise OptionError(
+                "overwrite (--overwrite) must be left out with a shard, got both: it deletes the results of other "
+                "shards in the folder; empty the folder before the first shard"
+            )
         config = replace(config, scenes=select_shard(execution.shard, tuple(config.scenes or ())))
     indices = {scene: index for index, scene in enumerate(split_ids)}
     tasks = [SceneTask(indices[scene], scene, dataset.compute_fingerprint(scene)) for scene in config.scenes or ()]

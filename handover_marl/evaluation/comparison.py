@@ -136,6 +136,12 @@ def compare(first: str | os.PathLike[str], second: str | os.PathLike[str]) -> Co
         raise ResultsError(
             f"{first} and {second} must have at least one scene in common; compare folders of the same split"
         )
+    for one, two in comparison.pairs:
+        if None not in (one.scene_id, two.scene_id) and one.scene_id != two.scene_id:
+            raise ResultsError(
+                f"{first} and {second} must have the same scenes, got scenes {one.scene_id} and {two.scene_id} as "
+                f"number {one.index}"
+            )
     # Versions may compute fingerprints of the same data differently; the heading shows both versions.
     is_same_version = report.metadata.version == other.metadata.version
     for one, two in comparison.pairs if is_same_version else ():

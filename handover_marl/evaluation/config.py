@@ -4,7 +4,9 @@ Public functions and the command line take `EvaluationConfig` and `ExecutionConf
 objects or as keyword arguments.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
+from inspect import signature
 from numbers import Integral
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -119,24 +121,31 @@ class ExecutionConfig(PoolConfig):
 
 
 def build_configs(
-    setup: str | EvaluationConfig | None, options: Any, execution: ExecutionConfig | None = None, **arguments: Any
+    function: Callable[..., Any],
+    evaluation: str | EvaluationConfig | None,
+    options: Any,
+    execution: ExecutionConfig | None = None,
+    **arguments: Any,
 ) -> tuple[EvaluationConfig, ExecutionConfig]:
     """Build the configurations of evaluation and execution from the arguments of a public function.
 
-    Options are fields of both configurations. If `setup` or `execution` is a whole configuration, options with its
-    fields raise `OptionError`; if `setup` is one, other `arguments` are ignored.
+    Options are fields of both configurations. The argument `evaluation` is a setup or a whole configuration. If it or
+    `execution` is a whole configuration, options with its fields raise `OptionError`, as do other `arguments` that
+    differ from their defaults in `function`.
     """
+    defaults = signature(function).parameters
+    changed = {key: value for key, value in arguments.items() if key in defaults and value != defaults[key].default}
     names = {field.name for field in fields(ExecutionConfig)}
     execution_options = {key: value for key, value in options.items() if key in names}
     evaluation_options = {key: value for key, value in options.items() if key not in names}
-    for config, given in ((setup, evaluation_options), (execution, execution_options)):
+    for config, given in ((evaluation, evaluation_options | changed), (execution, execution_options)):
         if isinstance(config, (EvaluationConfig, ExecutionConfig)) and given:
             raise OptionError(
                 f"pass either a config or keyword arguments, not both; set {min(given)} in the {type(config).__name__}"
             )
-    if not isinstance(setup, EvaluationConfig):
-        setup = EvaluationConfig(setup=setup, **(evaluation_options | arguments))
-    return setup, execution or ExecutionConfig(**execution_options)
+    if not isinstance(evaluation, EvaluationConfig):
+        evaluation = EvaluationConfig(setup=evaluation, **(evaluation_options | arguments))
+    return evaluation, execution or ExecutionConfig(**execution_options)
 
 
 def resolve_config(config: EvaluationConfig, trust: bool = False) -> tuple[EvaluationConfig, Dataset]:

@@ -41,7 +41,7 @@ PolicyPair = tuple[str, str]
 SUCCESS = EpisodeStatus.SUCCESS
 CROSSPLAY_CSV = "crossplay.csv"
 _NOTE = f"Means of the fluency metrics are in {CROSSPLAY_CSV}, and in the report of each pair."
-_CSV_IDENTITY = ("setup", "split", "dataset", "physics", "inference_time")
+_CSV_IDENTITY = ("setup", "split", "dataset", "physics", "world", "seed", "inference_time")
 _CSV_COLUMNS = (*RATES, AVERAGE_SUCCESS, *TIMES, *FLUENCY)
 # File systems allow names of 255 bytes; a hash follows longer names.
 _MAX_NAME_BYTES = 200
@@ -141,7 +141,7 @@ class CrossPlay(TabularResult):
     @property
     def _simulation_label(self) -> str:
         metadata = self._first_report.metadata
-        return ", ".join(filter(None, (f"{metadata.physics} physics", format_inference_time(metadata.inference_time))))
+        return ", ".join(filter(None, (metadata.simulation_label, format_inference_time(metadata.inference_time))))
 
     def _build_rate_table(self) -> ReportTable:
         rows = []
@@ -190,7 +190,7 @@ def crossplay(
             matplotlib is missing although an output folder is given.
         HandoverError: The same errors as `evaluate_pair`.
     """
-    config, execution = build_configs(setup, options, execution, split=split)
+    config, execution = build_configs(crossplay, setup, options, execution, split=split)
     if execution.folder is not None:
         require_modules("the heat map", "plot", "matplotlib", advice="; or leave out `out`")
     dataset = config.open_dataset()

@@ -111,6 +111,13 @@ class ResultMetadata:
         """Number of scenes in the split."""
         return SPLIT_SIZES[self.setup, self.split] if self.setup in SETUPS else int(self.n_split_scenes)
 
+    @property
+    def simulation_label(self) -> str:
+        """Physics as text, with a missing package, rules other than the official ones, and a seed other than 0."""
+        without = f" without {self.missing_package}" if self.missing_package else ""
+        rules = "" if self.world == OFFICIAL_WORLD else f", rules {self.world}"
+        return f"{self.physics} physics{without}{rules}" + ("" if self.seed == "0" else f", seed {self.seed}")
+
     def to_dict(self) -> dict[str, str]:
         """Return the fields by name; `n_split_scenes` and `inference_time` are left out if they are empty."""
         optional = ("n_split_scenes", "inference_time")

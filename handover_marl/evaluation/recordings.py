@@ -69,7 +69,7 @@ def format_replay_facts(config: EvaluationConfig, models: str) -> str:
     camera = config.sensors.describe(receiver.obs_mode, config.physics)
     observation = f" (obs_mode {receiver.obs_mode}, {camera})" if camera else ""
     parts = [
-        format_dataset_title(config.dataset) + (f", {models}" if models else ""),
+        format_dataset_title(config.dataset) + (f", {models}" if models else "") + f", setup {config.setup}",
         f"receiver {receiver.label}{observation}, giver {giver.label}",
         f"{config.physics} physics",
         *filter(None, [format_inference_time(config.inference_time)]),

@@ -39,9 +39,7 @@ _GRID_COLUMNS = 3
 # Duration for which a scene without a receiver is shown after the recorded motion.
 _STILL_SCENE_DURATION_MS = 500
 # Fields of both configurations that do not apply to a single scene.
-_SINGLE_SCENE = (
-    *("setup", "split", "scenes", "workers", "ray_address", "shard", "out", "overwrite", "replays", "traces"),
-)
+_SINGLE_SCENE = (*("split", "scenes", "workers", "ray_address", "shard", "out", "overwrite", "replays", "traces"),)
 
 
 def _simulate(
@@ -81,9 +79,9 @@ def render_scene(
         view: "outside", or "wrist" for the outside image above colours, depth and segmentation of the wrist camera.
         caption: Whether images and videos show the simulated time and the state of the episode:
             "object touched", "released", "contact", "drop", "timeout" or "goal reached".
-        options: `dataset`, `data_dir`, `physics`, `robot`, `renderer`, `camera_model`, `camera_noise`, `seed`,
-            `inference_time`, `progress` and `trust`, see `handover_marl.EvaluationConfig` and
-            `handover_marl.ExecutionConfig`.
+        options: `setup`, whose weights some policies take, `dataset`, `data_dir`, `physics`, `robot`, `renderer`,
+            `camera_model`, `camera_noise`, `seed`, `inference_time`, `progress` and `trust`, see
+            `handover_marl.EvaluationConfig` and `handover_marl.ExecutionConfig`.
 
     Returns:
         Path of the written file.
@@ -110,13 +108,15 @@ def render_scene(
     for name in options:
         if name in _SINGLE_SCENE:
             raise OptionError(f"{name} must be left out for one scene, got {options[name]!r}")
-    config, execution = build_configs(None, options, receiver=receiver or "hold", giver=giver)
+    given: Any = {"receiver": receiver or "hold", "giver": giver}
+    config, execution = build_configs(render_scene, options.pop("setup", None), options, **given)
     dataset = config.open_dataset()
+    setup = dataset.resolve_setup(config.setup)
     policies: Any = {
-        agent: parse_policy(agent, getattr(config, agent), execution.trust).resolve(dataset, config.world_config)
-        for agent in ("receiver", "giver")
+        agent: parse_policy(agent, policy, execution.trust).resolve(dataset, config.world_config, setup)
+        for agent, policy in given.items()
     }
-    config = set_dataset(replace(config, **policies), dataset)
+    config = set_dataset(replace(config, setup=setup, **policies), dataset)
     runner, scene = EpisodeRunner(config), dataset.load_scene(scene_id)
     if view == "wrist":
         resolve_renderer(config.renderer, config.physics)

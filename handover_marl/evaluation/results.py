@@ -106,8 +106,8 @@ class EpisodeResult:
 
     @property
     def speed_score(self) -> float:
-        """Contribution of the episode to average success (AS): 1 - t / 13 s for a success after t s, else 0."""
-        return 1.0 - self.steps / OFFICIAL_CONFIG.protocol.horizon_steps if self.success else 0.0
+        """Contribution to average success (AS): 1 - t / 13 s for a success after t s, at least 0; 0 without success."""
+        return max(0.0, 1.0 - self.steps / OFFICIAL_CONFIG.protocol.horizon_steps) if self.success else 0.0
 
 
 # Type of each field that HandoverSim's files lack.

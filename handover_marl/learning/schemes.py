@@ -329,7 +329,8 @@ class GraspServoScheme(HandMotionScheme):
     def needs_outputs(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return whether the time `wait` is over, (r,), in each of the r episodes with indices `rows`."""
         xp = self._arrays.xp
-        return xp.astype(observation["time"][:, 0], xp.float64) >= self.wait
+        # Times are float32 and may be rounded down, by less than half a step.
+        return xp.astype(observation["time"][:, 0], xp.float64) >= self.wait - 5e-4
 
     def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return the target positions (r, 9) of arms and fingers (rad, m) in the episodes with indices `rows`."""

@@ -138,7 +138,7 @@ def load_population(population: str | os.PathLike[str] = DEFAULT_POPULATION, tru
             check_stored_reference(path, agent, partner.policy, trust, list_available(agent))
             for word in re.split("[:,=]", partner.policy):
                 # The class may be one that is not installed here; which options name files is not known.
-                if "/" in word:
+                if "/" in word or (Path(word).suffix and Path(word).is_file()):
                     file = Path(word.replace(_FOLDER, str(path.parent))).expanduser()
                     digest.update(hashlib.sha256(read_policy_file(file)).digest())
     return replace(found, content_hash=digest.hexdigest()[:12])
@@ -222,6 +222,12 @@ class PopulationPolicy(Policy):
     def weights_hash(self) -> str:
         """Hash of the population's file and of the policy files that it names."""
         return self._content_hash
+
+    @property
+    def wait(self) -> float | None:
+        """Time (s) for which the members wait at the start of an episode; None if they wait differently long."""
+        waits = {member.wait for member in self.members}
+        return waits.pop() if len(waits) == 1 else None
 
     @property
     def hold_time(self) -> float:

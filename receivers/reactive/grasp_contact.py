@@ -20,7 +20,7 @@ from handover_marl.receivers.reactive.config import GraspSelectorConfig, Reactiv
 from handover_marl.receivers.reactive.grasps import (
     QUICK_PREPARATION,
     ValidatedGrasps,
-    has_validation_record,
+    has_shipped_record,
     perturb_grasps,
     validate_grasps,
 )
@@ -68,7 +68,9 @@ def load_graspable_object(context: PolicyContext, object_name: str, config: Reac
     urdf, known = context.find_object_urdf(object_name), load_hand_poses(context.load_grasps, object_name)
     if known is None:
         return _load_graspable_object(urdf, context.panda_urdf, None, config)
-    if context.quick_validation and not has_validation_record(urdf, context.panda_urdf, known, config.preparation):
+    # Options of the user are kept; what an earlier run has cached has no influence.
+    is_quick = context.quick_validation and config.preparation == ReactiveConfig().preparation
+    if is_quick and not has_shipped_record(urdf, context.panda_urdf, known, config.preparation):
         config = replace(config, preparation=QUICK_PREPARATION)
     return _load_graspable_object(urdf, context.panda_urdf, known.tobytes(), config)
 

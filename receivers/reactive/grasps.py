@@ -237,10 +237,10 @@ def get_validation_record(
         return record
 
 
-def has_validation_record(object_urdf: Path, panda_urdf: Path, known: Array, config: GraspPreparationConfig) -> bool:
-    """Return whether the validation record of an object's grasps ships or is cached; see `validate_grasps`."""
+def has_shipped_record(object_urdf: Path, panda_urdf: Path, known: Array, config: GraspPreparationConfig) -> bool:
+    """Return whether the validation record of an object's grasps ships; see `validate_grasps`."""
     path = get_validation_record_path(object_urdf, panda_urdf, known, config)
-    return path.exists() or load_validation_record(path.stem) is not None
+    return load_validation_record(path.stem) is not None
 
 
 def get_validation_record_path(

@@ -116,8 +116,7 @@ class CustomSceneFolder:
         text = check_file_name("name", name, CLASS_NAMES.values())
         config = config or MeshConfig()
         source = mesh if isinstance(mesh, trimesh.Trimesh) else check_path("mesh", mesh)
-        if text in [item.name for item in self.content.objects]:
-            raise OptionError(f"name must be new, got {text!r}, which {self.folder} has already; choose another one")
+        self._check_is_new(text, self.content)
         with Console(stderr=True, quiet=not progress).status("convex parts"):
             item = make_object_mesh(source, config)
         with tempfile.TemporaryDirectory() as scratch:
@@ -127,6 +126,8 @@ class CustomSceneFolder:
             found, n_candidates = make_robot_grasps(model / URDF_NAME, grasps, seed, workers, progress)
             write_arrays(model / GRASP_FILE, {"grasps": found.astype(np.float32)})
             with self._change(OBJECT_FOLDER) as content:
+                # Another process may have added an object of this name in the meantime.
+                self._check_is_new(text, content)
                 added = CustomObject(
                     name=text,
                     number=max([LARGEST_YCB_CLASS, *(other.number for other in content.objects)]) + 1,
@@ -197,7 +198,7 @@ class CustomSceneFolder:
         if hand is not None and table.wrist is None:
             raise DataFormatError("the motion has no wrist; add its poses, or pass hand=None")
         urdfs = [self._find_urdf(item) for item in names]
-        bodies = _read_bodies(names, urdfs)
+        bodies = {name: read_collision_mesh(urdf)[0] for name, urdf in zip((OBJECT, *others), urdfs, strict=True)}
         check_objects(make_trajectory(table, others, None, None)["object_dof"], bodies)
         model, fingers = None, table.fingers
         if hand is not None:
@@ -225,7 +226,8 @@ class CustomSceneFolder:
 
         Args:
             name: Name of the setup; an existing one is replaced.
-            by: "object" or "person": each object or person is then in one split only; or "random": by scene.
+            by: "object" or "person": each handed-over object or person is then in one split only; or "random": by
+                scene. Other objects on the table may be in several splits.
             val: Names of the val split's objects or persons, or a share (0 to 1) of all, which is drawn at random.
             test: Names or share for the test split, as in `val`.
             seed: Random seed of drawn shares.
@@ -256,10 +258,13 @@ class CustomSceneFolder:
         for item in dataset.content.objects:
             check_model(dataset.find_object_urdf(item.name), OBJECT_DOF)
             dataset.load_grasps(item.name)
-        for scene in map(dataset.load_scene, range(dataset.n_scenes)):
-            bodies = _read_bodies(scene.info.object_names, scene.assets.objects)
-            check_motion(scene.object_dof, scene.hand_dof, scene.hand_first, scene.hand_last, bodies)
+        for scene_id in range(dataset.n_scenes):
+            dataset.load_scene(scene_id)
         return dataset
+
+    def _check_is_new(self, name: str, content: SceneFile) -> None:
+        if name in [item.name for item in content.objects]:
+            raise OptionError(f"name must be new, got {name!r}, which {self.folder} has already; choose another one")
 
     def _find_urdf(self, name: str) -> Path:
         is_ycb = name in CLASS_NAMES.values()
@@ -276,14 +281,6 @@ class CustomSceneFolder:
             raise
         except OSError as error:
             raise ResultsError(f"cannot write to {self.folder} ({error.strerror or error})") from error
-
-
-def _read_bodies(names: Sequence[str], urdfs: Sequence[Path]) -> dict[str, npt.NDArray[np.float64]]:
-    """Return the vertices (v, 3) in m of each object in a scene, read from URDFs, by its name in recordings.
-
-    The first object, of the class `names[0]`, is the one that is handed over.
-    """
-    return {body: read_collision_mesh(urdf)[0] for body, urdf in zip((OBJECT, *names[1:]), urdfs, strict=True)}
 
 
 def _split_scenes(

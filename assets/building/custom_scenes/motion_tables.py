@@ -85,13 +85,17 @@ class MotionConfig:
             check_name("frame", self.frame, _FRAMES)
         for name in ("frame", "object_offset", "wrist_offset"):
             pose = getattr(self, name)
-            if isinstance(pose, tuple) and not (
-                len(pose) == 7 and abs(np.linalg.norm(pose[3:]) - 1.0) < _MAX_NORM_ERROR
-            ):
+            if pose is None or isinstance(pose, str):
+                continue
+            numbers = np.array(pose, dtype=np.float64) if len(pose) == 7 else np.zeros(7)
+            norm = float(np.linalg.norm(numbers[3:]))
+            if not (np.isfinite(numbers).all() and abs(norm - 1.0) < _MAX_NORM_ERROR):
                 names = "'world', 'table' or " if name == "frame" else ""
                 raise OptionError(
                     f"{name} must be {names}seven numbers, position (m) and unit quaternion xyzw, got {pose!r}"
                 )
+            numbers[3:] /= norm
+            object.__setattr__(self, name, tuple(numbers.tolist()))
         if not isinstance(self.max_gap, (int, float)) or not 0.0 <= self.max_gap <= 2.0:
             raise OptionError(f"max_gap must be a time from 0 to 2 s, got {self.max_gap!r}")
 

@@ -19,6 +19,7 @@ import numpy.typing as npt
 from handover_marl.assets.hand_model import find_hand_urdf
 from handover_marl.assets.shipped import URDF_NAME
 from handover_marl.config import HAND_DOF, OBJECT_DOF
+from handover_marl.datasets.custom.motion_checks import check_motion
 from handover_marl.datasets.custom.scene_file import ALL_SCENES, read_scene_file
 from handover_marl.datasets.dataset import Dataset, Scene, SceneAssets, SceneInfo
 from handover_marl.datasets.official import (
@@ -29,6 +30,7 @@ from handover_marl.datasets.official import (
 from handover_marl.datasets.splits import SPLITS
 from handover_marl.errors import DataFormatError, DataNotFoundError, UnknownNameError, check_name
 from handover_marl.execution.reading import read_arrays, read_plain_file, report_damage
+from handover_marl.geometry.model_files.meshes import read_collision_mesh
 from handover_marl.geometry.model_files.urdf import list_mesh_references
 from handover_marl.geometry.panda import PANDA
 from handover_marl.geometry.ycb import CLASS_NAMES
@@ -100,8 +102,15 @@ class CustomDataset(Dataset):
         if not (0 <= first <= last < len(hand_dof) if has_hand else first == last == -1):
             rule = "frames of the motion" if has_hand else "-1 for a scene without a hand"
             raise DataFormatError(f"{path}: hand_span must be {rule}, got {first} and {last}; {_ADVICE}")
-        span = (first, last) if has_hand else (None, None)
-        return Scene(info, self.name, self._find_scene_assets(info), object_dof, hand_dof, *span)
+        start, end = (first, last) if has_hand else (None, None)
+        assets = self._find_scene_assets(info)
+        meshes = zip(info.object_names, assets.objects, strict=True)
+        bodies = {name: read_collision_mesh(urdf)[0] for name, urdf in meshes}
+        try:
+            check_motion(object_dof, hand_dof, start, end, bodies)
+        except DataFormatError as error:
+            raise DataFormatError(f"{path}: {error}") from None
+        return Scene(info, self.name, assets, object_dof, hand_dof, start, end)
 
     def find_object_urdf(self, object_name: str) -> Path:
         """Return the path of an object class's URDF."""
@@ -113,7 +122,8 @@ class CustomDataset(Dataset):
         """Load robot grasps of an object class: gripper poses (n, 4, 4) in the object's frame (m), or None."""
         if object_name in CLASS_NAMES.values():
             return super().load_grasps(object_name)
-        return self._read_grasps(object_name)
+        grasps = self._read_grasps(object_name)
+        return None if grasps is None else grasps.copy()
 
     def compute_fingerprint(self, scene_id: int) -> str:
         """Return a hash of a scene's motion, models and grasps."""

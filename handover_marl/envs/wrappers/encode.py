@@ -108,9 +108,11 @@ class EncodedEnv(ParallelWrapper):
 
     def _compute_features(self) -> ByAgent:
         """Return by agent the features (m,) of the last observation, or the observation itself without features."""
+        # Copies, since callers may write into their observations and action schemes read them again.
+        copies = {agent: {key: own[key].copy() for key in own} for agent, own in self._observations.items()}
         return {
             agent: self._features[agent](ONLY_ROW, add_episode_axis(own))[0] if agent in self._features else own
-            for agent, own in self._observations.items()
+            for agent, own in copies.items()
         }
 
     def reset(self, seed: int | None = None, options: ByAgent | None = None) -> tuple[ByAgent, ByAgent]:

@@ -81,7 +81,8 @@ def demonstrate(
         UnknownNameError: Unknown observation mode or choice of episodes.
         HandoverError: The same errors as `evaluate_pair`.
     """
-    config, execution = build_configs(setup, options, execution, split=split, receiver=receiver, giver=giver)
+    arguments: Any = {"split": split, "receiver": receiver, "giver": giver}
+    config, execution = build_configs(demonstrate, setup, options, execution, **arguments)
     check_name("keep", keep, (ALL, SUCCESS))
     if config.split != "train":
         raise OptionError(

@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from handover_marl.config import TIME_STEP
+from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP
 from handover_marl.datasets.registry import find_dataset_note, format_dataset_title
 from handover_marl.datasets.splits import SETUPS, list_split_scenes
 from handover_marl.episode.referee import EpisodeStatus
@@ -150,12 +150,11 @@ class Report(TabularResult):
         ]
         text = ", ".join(filter(None, details))
         receiver = f"{metadata.receiver} ({text})" if text else metadata.receiver
-        without = f" without {metadata.missing_package}" if metadata.missing_package else ""
         hashes = " and ".join(filter(None, (metadata.receiver_hash, metadata.giver_hash)))
         code = f", code {hashes}" if hashes else ""
         return (
             f"{metadata.setup} {metadata.split}, {self.extent}. Receiver {receiver}, giver {metadata.giver}, "
-            f"{metadata.physics} physics{without}, data: {self.data_label}. handover_marl {metadata.version}{code}."
+            f"{metadata.simulation_label}, data: {self.data_label}. handover_marl {metadata.version}{code}."
         )
 
     @property
@@ -274,6 +273,14 @@ def load_report(folder: str | os.PathLike[str]) -> Report:
         raise ResultsError(
             f"{path}: {results[-1].index:03d}.npz exceeds {metadata.setup} {metadata.split}, which has {size} scenes"
         )
+    # HandoverSim's code may count the step in which the time is up.
+    longest = OFFICIAL_CONFIG.protocol.horizon_steps + 1
+    for result in results if metadata.world == OFFICIAL_WORLD else ():
+        if result.steps > longest:
+            raise ResultsError(
+                f"{path}: {result.index:03d}.npz must have at most {longest} steps by the official rules, got "
+                f"{result.steps}; delete it and run the scene again"
+            )
     return Report(metadata, tuple(_add_scene_info(path, metadata, results)))
 
 

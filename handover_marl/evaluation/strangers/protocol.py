@@ -73,7 +73,7 @@ def strangers(
     """
     if not isinstance(setup, EvaluationConfig):
         options.setdefault("physics", FAST)
-    config, execution = build_configs(setup, options, execution, split=split)
+    config, execution = build_configs(strangers, setup, options, execution, split=split)
     for name, value, default in (
         ("world_config", config.world_config, OFFICIAL_CONFIG),
         ("inference_time", config.inference_time, None),

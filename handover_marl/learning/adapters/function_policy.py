@@ -214,10 +214,17 @@ class TorchFunction:
 
 
 def reset_function(function: object, seed: int | None) -> None:
-    """Call a function's own `reset(seed)`, if it has a method of this name with the parameter `seed`."""
+    """Call a function's own method `reset(seed)` or `reset()`, if it has one.
+
+    Without the parameter `seed`, the method of a PyTorch module is not called, since it may reset the parameters.
+    """
     reset = getattr(function, "reset", None)
-    if callable(reset) and "seed" in inspect.signature(reset).parameters:
+    if not callable(reset):
+        return
+    if "seed" in inspect.signature(reset).parameters:
         reset(seed=seed)
+    elif not hasattr(function, "state_dict"):
+        reset()
 
 
 class LearnedPolicy(FunctionPolicy):

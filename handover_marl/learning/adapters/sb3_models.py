@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
+from gymnasium.wrappers import NormalizeObservation
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.vec_env import VecNormalize
@@ -32,7 +33,12 @@ def dense_network_from_sb3(
         model: Model of PPO, A2C, SAC, TD3 or DDPG with dense layers only.
         normalization: Normalization of the observations; default: as in the model's environment.
     """
-    where, space = type(model).__name__, model.action_space
+    where, space, env = type(model).__name__, model.action_space, model.get_env()
+    if env is not None and any(env.env_is_wrapped(NormalizeObservation)):
+        raise OptionError(
+            f"observations of the {where} model must be normalized by VecNormalize, got NormalizeObservation of "
+            "Gymnasium, whose statistics a policy cannot use; train with VecNormalize"
+        )
     if not isinstance(space, spaces.Box) or len(space.shape) != 1:
         raise OptionError(f"actions of the {where} model must be a vector (Box), got {space}")
     layers, is_squashed = _get_actor(model)

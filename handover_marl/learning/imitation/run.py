@@ -289,21 +289,24 @@ class ImitationRun:
         data = args.open_dataset(robot)
         mutable_args = ("workers", "threads", "device", *mutable_args)
         self.folder = open_run_folder(Path(args.out), args, args.resume, data.name, mutable_args)
-        self._args, self._receiver, self._robot, self._learner, self._best_rate = args, receiver, robot, learner, -1.0
+        self._args, self._receiver, self._robot, self._learner = args, receiver, robot, learner
+        # Success rate of the best network, and number of updates of the last one that was evaluated.
+        self._best_rate, self._n_evaluated = -1.0, 0
         self._card = {"made by": describe_origin(f"train_{receiver}", args), "dataset": data.name}
         if args.resume and (self.folder / CHECKPOINT).exists():
 
             def restore_all(state: dict[str, Any]) -> None:
                 learner.restore(state["training"])
-                self._best_rate = float(state["best"])
+                self._best_rate, self._n_evaluated = float(state["best"]), int(state["evaluated"])
 
             read_checkpoint(self.folder / CHECKPOINT, restore_all)
         self.latest, self._path = self.folder / "latest.npz", self.folder / f"{receiver}.npz"
         self.writer = SummaryWriter(str(self.folder / "tensorboard"))
 
     def save(self) -> None:
-        """Write a checkpoint: the state of the learner and the best success rate so far."""
-        write_checkpoint(self.folder / CHECKPOINT, {"training": self._learner.get_state(), "best": self._best_rate})
+        """Write a checkpoint: the state of the learner and of the evaluations."""
+        evaluations = {"best": self._best_rate, "evaluated": self._n_evaluated}
+        write_checkpoint(self.folder / CHECKPOINT, {"training": self._learner.get_state(), **evaluations})
 
     def train(
         self,
@@ -325,8 +328,10 @@ class ImitationRun:
         samples: list[Samples] = []
         for number, end in enumerate(np.linspace(0, self._args.updates, rounds + 2).round().astype(int)[1:].tolist()):
             samples.append(collect(number))
+            # A run may have been stopped between an update and its evaluation.
             if self._learner.n_updates < end:
                 self._update(make_batches(join_samples(samples)), held_out, end)
+            if self._n_evaluated < end:
                 self._evaluate(options)
         self.writer.close()
         return self._path
@@ -366,4 +371,5 @@ class ImitationRun:
         if float(np.mean(successes)) >= self._best_rate:
             self._best_rate = float(np.mean(successes))
             shutil.copyfile(self.latest, self._path)
+        self._n_evaluated = steps
         self.save()

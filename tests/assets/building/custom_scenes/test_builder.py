@@ -220,7 +220,7 @@ def test_a_scene_that_is_removed_by_hand(scenes: CustomSceneFolder, tmp_path: Pa
 
 #: File, array, place and value that is added in a file of arrays in the folder, and the error.
 EDITS: dict[str, tuple[str, str, Any, Any, str]] = {
-    "jump": ("motion/000000", "object_dof", np.s_[1500:, 0, 0], 0.1, "object must not jump, got 100 m/s in frame 1500"),
+    "jump": ("motion/000000", "object_dof", np.s_[1500:, 0, 0], 0.1, "box must not jump, got 100 m/s in frame 1500"),
     "no hand": ("motion/000000", "hand_span", np.s_[1], -4000, "hand_span must be frames"),
     "a hand": ("motion/000002", "hand_span", np.s_[:], 9, "hand_span must be -1"),
 }
