@@ -149,7 +149,7 @@ class Yang2021Receiver(ArrayPolicy, Receiver):
     @property
     def planned_goal(self) -> npt.NDArray[np.float64] | None:
         """(2, 7) world poses (quaternion xyzw) of the hand link at standoff and grasp; None except in the approach."""
-        selected = self.selected[0]
+        selected = self.selected[0].copy()
         return selected if self.phase[0] == YangPhase.APPROACH and not np.isnan(selected).any() else None
 
     @property

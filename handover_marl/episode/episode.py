@@ -57,7 +57,7 @@ class SceneConfig:
             part of imperfect (depth_noise, latency, hand_eye, intrinsics), or in Python a `CameraNoise`; default: none.
         cameras: Cameras of the observations, each a name (wrist, front, over_shoulder) or in Python a `CameraConfig`.
         camera_randomization: Random deviations of the cameras from their configuration, in Python a
-            `CameraRandomization`; default: the calibration errors that `camera_noise` names, or none.
+            `CameraRandomization`, beside the calibration errors that `camera_noise` names; default: none.
         world_config: World and rules; published results exist only for the default.
     """
 
@@ -90,8 +90,11 @@ class SceneConfig:
             UnknownNameError, OptionError: Unknown camera model, noise or camera.
         """
         randomization = self.camera_randomization
-        if randomization is None and isinstance(self.camera_noise, str):
-            randomization = CALIBRATION_ERRORS.get(self.camera_noise)
+        errors = CALIBRATION_ERRORS.get(self.camera_noise) if isinstance(self.camera_noise, str) else None
+        if randomization is None or errors is None:
+            randomization = randomization or errors
+        else:
+            randomization = randomization.combine(errors)
         cameras = resolve_cameras(self.cameras)
         return SensorConfig(self.renderer, self.camera_model, self.camera_noise, cameras, randomization)
 

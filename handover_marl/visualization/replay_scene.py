@@ -104,7 +104,7 @@ def _build_viser_page(log: ReplayRecorder, camera: CameraConfig) -> str:
         scene, view = server.scene, server.initial_camera
         scene.set_up_direction("+z")
         scene.add_light_hemisphere("/sky", ground_color=_GROUND_COLOR, intensity=1.2)
-        view.position, view.look_at = camera.position, camera.target
+        view.position, view.look_at, view.up = camera.position, camera.target, camera.up
         view.fov = np.radians(camera.vertical_fov)
         serializer = server.get_scene_serializer()
         rules = log.config.protocol

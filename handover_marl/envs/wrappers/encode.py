@@ -1,6 +1,7 @@
 """Wrapper whose observations are features, or the original observations, and whose actions are network outputs."""
 
 import copy
+import warnings
 from collections.abc import Mapping
 from typing import Any
 
@@ -35,6 +36,10 @@ DEFAULT_SCHEMES = {GIVER: "deviation", RECEIVER: "cartesian_delta"}
 _SCHEMES_FROM_STATE = ("grasp_servo",)
 #: Episodes in a row that may end before an action scheme needs outputs.
 MAX_EPISODES_WITHOUT_OUTPUTS = 100
+_VIDEO_ADVICE = (
+    "images of single steps are no video in real time, since steps of this action scheme last several control periods; "
+    "for a video, wrap the environment by pettingzoo.utils.wrappers.RecordVideoParallel before control_agent and encode"
+)
 
 
 class EncodedEnv(ParallelWrapper):
@@ -44,6 +49,7 @@ class EncodedEnv(ParallelWrapper):
     mostly one control period; rewards are summed over the step. An episode in which no outputs are needed is simulated
     to its end, and another episode follows. Rewards of the control steps that `reset` simulates are not returned. With
     two agents, a step is one control period, and an action scheme that needs no outputs keeps its last outputs.
+    Features with memory then remember every control period, those of an evaluated policy only its decisions.
 
     Attributes:
         choices: Pair of features and action scheme by agent, as given or by default.
@@ -92,6 +98,7 @@ class EncodedEnv(ParallelWrapper):
             features_name = self._features[agent].name if agent in self._features else OBSERVATION
             outputs.encoding = {"agent": agent, "features": features_name, "actions": self._schemes[agent].name}
         self._observations: dict[str, Observation] = {}
+        self._has_skipped = False
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
         """Return the space of the agent's feature vector, or of its observation with the features `observation`."""
@@ -127,6 +134,7 @@ class EncodedEnv(ParallelWrapper):
             for features in self._features.values():
                 features.reset(0)
             while self._can_skip():
+                self._has_skipped = True
                 self._observations, _, _, _, infos = self._advance()
             if self.agents:
                 return self._compute_features(), infos
@@ -158,13 +166,22 @@ class EncodedEnv(ParallelWrapper):
                 scheme.set_outputs(ONLY_ROW, outputs[agent][None])
         self._observations, rewards, terminations, truncations, infos = self._advance()
         while self._can_skip():
-            before = infos
+            self._has_skipped, before = True, infos
             self._observations, more, terminations, truncations, infos = self._advance()
             rewards = {agent: rewards[agent] + more[agent] for agent in rewards}
             for agent, info in infos.items():
                 terms = [key for key in info if key.startswith(REWARD_PREFIX)]
                 info.update({key: info[key] + before[agent][key] for key in terms})
         return self._compute_features(), rewards, terminations, truncations, infos
+
+    def render(self) -> Any:
+        """Return an RGB image (height, width, 3) in the mode "rgb_array", else None.
+
+        Warns if steps have lasted several control periods, since a video with one image for each step is too short.
+        """
+        if self._has_skipped and self.render_mode == "rgb_array":
+            warnings.warn(_VIDEO_ADVICE, stacklevel=2)
+        return self.env.render()
 
     def _advance(self) -> ParallelStep:
         actions = {

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from handover_marl.config import OBJECT_DOF, CameraConfig, PhysicsConfig
 from handover_marl.datasets.dataset import Scene
+from handover_marl.errors import OptionError
 from handover_marl.geometry.poses import IDENTITY
 from handover_marl.geometry.rotations import matrices_from_quaternions, multiply_quaternions
 from handover_marl.simulation.bullet.bodies import (
@@ -149,8 +150,10 @@ class SceneRenderer:
 
     def render_overview(self, snapshot: JointSnapshot, camera: CameraConfig) -> npt.NDArray[np.uint8]:
         """Render an overview camera's RGB image (height, width, 3), uint8, of the scene at given joint positions."""
+        if camera.link:
+            raise OptionError(f"link of the camera of an overview must be '', got {camera.link!r}")
         self.set_joints(snapshot)
-        view = self._client.computeViewMatrix(camera.position, camera.target, (0.0, 0.0, 1.0))
+        view = self._client.computeViewMatrix(camera.position, camera.target, camera.up)
         projection = self._client.computeProjectionMatrixFOV(
             camera.vertical_fov, camera.width / camera.height, camera.near, camera.far
         )

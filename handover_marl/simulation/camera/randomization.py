@@ -44,6 +44,10 @@ class CameraRandomization(CheckedConfig):
     depth_noise_std: float = bounded(0.0, 0.0, 1.0)
     latency: float = bounded(0.0, 0.0, 1.0)
 
+    def combine(self, other: "CameraRandomization") -> "CameraRandomization":
+        """Return the deviations of which each is the larger one of both."""
+        return CameraRandomization(**{name: max(value, vars(other)[name]) for name, value in vars(self).items()})
+
     def draw(self, camera: Pinhole, noise: CameraNoise | None, rng: np.random.Generator) -> "CameraDraw":
         """Draw the camera of one episode; `camera` is the configured one, and `noise` its noise, if it has any."""
         # The number of draws is always the same, so that a value does not depend on the other deviations.

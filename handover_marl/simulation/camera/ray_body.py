@@ -137,14 +137,16 @@ class RayBody:
     def compute_link_frames(self, joints: Array) -> tuple[Float64Array, Float64Array]:
         """Return world rotations (L + 1, 3, 3) and origins (L + 1, 3) in m of L links, then base, at joints (d,)."""
         # Table, resting objects and hand often have the same joints in two successive images.
-        if self._last_frames is None or not np.array_equal(joints, self._last_frames[0]):
+        # Another thread may use the same body, so the frames are stored and read in one piece.
+        frames = self._last_frames
+        if frames is None or not np.array_equal(joints, frames[0]):
             origins, rotations = self._tree.compute_link_frames(joints[None])
-            self._last_frames = (
+            self._last_frames = frames = (
                 joints.copy(),
                 np.concatenate([self._base_rotation @ rotations[0], self._base_rotation[None]]),
                 np.concatenate([origins[0] @ self._base_rotation.T + self._base_origin, self._base_origin[None]]),
             )
-        return self._last_frames[1:]
+        return frames[1:]
 
 
 @cached_by_file(64, read_model_mtimes)
