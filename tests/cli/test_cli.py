@@ -1,6 +1,7 @@
 """Tests of the command line, and of the command `doctor`, which collects the errors of readers."""
 
 import importlib
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -107,6 +108,17 @@ def test_closed_output(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("closed", [">&-", "2>&-"])
+def test_streams_that_are_closed_at_the_start(fake_data: Path, tmp_path: Path, closed: str) -> None:
+    program = "import sys; from handover_marl.cli import main; sys.exit(main())"
+    command = [sys.executable, "-c", program, "evaluate-pair", "--receiver", "hold", "--scenes", "9", "14"]
+    command += ["--physics", "fast", "--workers", "2", "--data-dir", str(fake_data), "--out", str(tmp_path)]
+    finished = subprocess.run(f"{shlex.join(command)} {closed}", shell=True, capture_output=True, check=False)
+    assert finished.returncode == 0, finished.stderr
+    assert len(list(tmp_path.glob("0*.npz"))) == 2
+
+
+@pytest.mark.slow
 def test_pair_selects_split_and_scenes(
     fake_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -127,7 +139,8 @@ def test_pair_selects_split_and_scenes(
     assert "world 'official' in the folder, 'initial_joint_noise=0.1' now" in capsys.readouterr().err
 
 
-def test_version_and_help(capsys: pytest.CaptureFixture[str]) -> None:
+def test_version_and_help(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setenv("COLUMNS", "3")  # as in a window of three columns, in which texts cannot be wrapped
     assert main(["--version"]) == 0
     assert capsys.readouterr().out.startswith("handover-marl ")
     with pytest.raises(SystemExit):

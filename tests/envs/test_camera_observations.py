@@ -1,5 +1,6 @@
 """Tests of environments whose receiver observes point clouds or images, and of the randomisation of cameras."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -190,8 +191,8 @@ def test_each_value_changes_its_data(name: str, value: float, changed: set[str])
 def test_names_of_noise_may_include_wrong_calibration() -> None:
     wrong_pose = CameraRandomization(position=0.01, rotation=np.deg2rad(2.0))
     assert_equal(observe(2, None, camera_noise="hand_eye"), observe(2, wrong_pose))
-    own = CameraRandomization(color=0.5)
-    assert_equal(observe(2, own, camera_noise="hand_eye"), observe(2, own))
+    both = replace(wrong_pose, color=0.5)
+    assert_equal(observe(2, CameraRandomization(color=0.5), camera_noise="hand_eye"), observe(2, both))
     delayed, plain = observe(2, None, camera_noise="latency"), observe(2, None)
     assert_equal(
         observe(2, None, camera_noise="intrinsics"), observe(2, CameraRandomization(focal=0.01, principal=2.24))

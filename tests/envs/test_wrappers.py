@@ -206,6 +206,25 @@ def test_malformed_outputs_leave_the_world_alone(actions: Any) -> None:
     assert env.step({"receiver": np.zeros(7)})[4]["receiver"]["steps"] == 100
 
 
+def test_observations_that_are_changed_in_place_change_no_action() -> None:
+    states = []
+    for change in (0.0, 1.0):
+        env = encode(control_agent(parallel_env(**SYNTHETIC), "receiver", "replay"), "observation", "joint_delta")
+        observations, _ = env.reset(seed=0)
+        for _ in range(2):
+            observations["receiver"]["robot_joint_position"] += change
+            observations = env.step({"receiver": np.zeros(env.action_space("receiver").shape)})[0]
+        states.append(env.state())
+    np.testing.assert_array_equal(*states)
+
+
+def test_images_of_steps_that_skip_decisions_are_no_video() -> None:
+    env = encoded("receiver", "replay", "grasp_servo", render_mode="rgb_array", camera=CameraConfig(width=8, height=8))
+    env.reset(seed=0)
+    with pytest.warns(UserWarning, match="RecordVideoParallel"):
+        env.render()
+
+
 @pytest.mark.parametrize("scheme", [{"receiver": "receiver", "giver": "giver"}, {}])
 def test_outputs_of_raw_schemes_are_actions_of_the_environment(scheme: dict[str, str]) -> None:
     world = parallel_env(**SYNTHETIC)

@@ -50,6 +50,8 @@ def test_a_config_equals_its_fields_as_options(fake_data: Path, tmp_path: Path) 
     official: Any = handover_marl.benchmark
     for call, error, message in (
         (lambda: handover_marl.evaluate_pair(config, scenes=[9]), OptionError, "pass either a config or keyword arg"),
+        (lambda: handover_marl.evaluate_pair(config, "yang2021x"), OptionError, "set receiver in the EvaluationConfig"),
+        (lambda: run(fake_data, tmp_path, shard="1/2", overwrite=True), OptionError, "left out with a shard, got both"),
         (lambda: official(execution=ExecutionConfig(), workers=1), OptionError, "pass either a config or keyword arg"),
         (lambda: official(colour=[9]), UnknownArgumentError, "unexpected keyword argument 'colour'$"),
         (lambda: official(scene=[9]), UnknownArgumentError, "argument 'scene'; did you mean 'scenes'\\?$"),

@@ -89,6 +89,8 @@ def test_videos(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         ("x.bmp", {}, OptionError),
         ("x.png", {"key_frames": 0}, OptionError),
         ("x.png", {"receiver": "nobody"}, UnknownNameError),
+        ("x.png", {"setup": "s4"}, UnknownNameError),
+        ("x.png", {"camera": CameraConfig(link="panda_hand")}, OptionError),
     ],
 )
 def test_bad_options(tmp_path: Path, out: str, options: dict[str, object], error: type[HandoverError]) -> None:

@@ -90,6 +90,14 @@ def test_impossible_results_are_refused(folder: ResultFolder, changes: dict[str,
     assert folder.read(0, "abc") is None
 
 
+def test_more_steps_than_the_rules_allow_are_refused(folder: ResultFolder) -> None:
+    result = replace(RESULT, status=EpisodeStatus.SUCCESS, steps=13_002)
+    folder.write(result, encode_result(result, np.zeros((1, 9), np.float32), np.zeros(1)))
+    with pytest.raises(ResultsError, match=r"000\.npz must have at most 13001 steps .*, got 13002"):
+        load_report(folder.path)
+    assert replace(result, steps=10**6).speed_score == 0.0
+
+
 def test_results_in_the_wrong_place_are_refused(folder: ResultFolder) -> None:
     first, second = folder.path / "000.npz", folder.path / "001.npz"
     second.write_bytes(first.read_bytes())

@@ -14,7 +14,7 @@ from handover_marl.datasets import open_dataset
 from handover_marl.datasets.dataset import Dataset, Scene
 from handover_marl.episode import camera_observations
 from handover_marl.episode.camera_observations import SensorConfig
-from handover_marl.episode.episode import Episode
+from handover_marl.episode.episode import Episode, SceneConfig
 from handover_marl.episode.giver_motion import NO_DEVIATION
 from handover_marl.episode.loop import derive_robot_seed, run_episode
 from handover_marl.episode.observations import Observation
@@ -253,11 +253,12 @@ def test_receivers_do_not_depend_on_the_scene_number(monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("noise", [None, "realsense"])
+@pytest.mark.parametrize("noise", [None, "realsense", "imperfect"])
 @pytest.mark.parametrize("renderer", RENDERERS)
 def test_observations_do_not_depend_on_the_scene_number(renderer: str, noise: str | None) -> None:
     config = WorldConfig() if noise is None else NOISY_START
-    episode, seen = Episode("fast", config, sensors=SensorConfig(renderer, camera_noise=noise)), []
+    sensors = SceneConfig(renderer=renderer, camera_noise=noise).sensors
+    episode, seen = Episode("fast", config, sensors=sensors), []
     for scene in (NUMBERED, rename(NUMBERED, 777)):
         start(episode, scene, make_receiver("hold", DATA), 1)
         seen.append([{**episode.observe(), **episode.observe_camera(obs_mode)} for obs_mode in OBS_PARTS])

@@ -72,7 +72,13 @@ def test_givers_work_without_a_context() -> None:
 
 @pytest.mark.parametrize(
     ("receiver", "wait"),
-    [("yang2021", 3.0), ("yang2021:wait=0", 0.0), ("omg_hand_aware:wait=1.5", 1.5), ("hold", None), ("random", 0.0)],
+    [
+        ("yang2021", 3.0),
+        ("yang2021:wait=0", 0.0),
+        ("omg_hand_aware:wait=1.5", 1.5),
+        ("hold", None),
+        ("population", None),
+    ],
 )
 def test_receivers_tell_their_wait(receiver: str, wait: float | None) -> None:
     if receiver.startswith("omg"):

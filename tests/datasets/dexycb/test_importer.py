@@ -226,6 +226,7 @@ DAMAGES: list[tuple[Callable[[SequenceFolder], Any], str]] = [
     (save_poses(pose_m=HAND[:-1]), "pose_m must be finite"),
     (save_poses(pose_y=np.full_like(OBJECTS, np.inf)), "pose_y must be finite"),
     (save_poses(pose_m=np.zeros_like(HAND)), "few have a hand"),
+    (save_poses(pose_m=np.concatenate([HAND[:2], 0 * HAND[:1], HAND[3:]])), "zero only at start and end"),
     (lambda sequence: write_yaml(extrinsics_file(sequence.folder.parents[1]), {}), "KeyError: 'extrinsics'"),
     (
         lambda sequence: write_yaml(mano_file(sequence.folder.parents[1]), {"betas": ["x"] * 10}),

@@ -4,6 +4,7 @@ import copy
 import multiprocessing
 import os
 import pickle
+import signal
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -294,6 +295,26 @@ def test_processes_give_the_results_of_threads() -> None:
     expected = rollout(handover_marl.vector_env(3, "receiver", "noisy", threads=1, **options), 5)
     assert_equal(rollout(handover_marl.vector_env(3, "receiver", "noisy", processes=2, **options), 5), expected)
     assert any("final_obs" in infos for infos in expected[6::5])
+
+
+@pytest.mark.slow
+def test_the_answer_to_an_interrupted_call_is_dropped() -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    envs = handover_marl.vector_env(2, "receiver", "replay", processes=1, **SHORT)
+    actions = envs.reset(seed=0)[0]["robot_joint_position"]
+    before = signal.signal(signal.SIGALRM, interrupt)
+    signal.setitimer(signal.ITIMER_REAL, 0.002)
+    with pytest.raises(KeyboardInterrupt):
+        while True:
+            envs.step(actions)
+            envs.reset()
+    signal.signal(signal.SIGALRM, before)
+    observations, infos = envs.reset(seed=5)
+    assert infos["steps"].tolist() == [0, 0]
+    assert envs.step(observations["robot_joint_position"])[4]["steps"].min() > 0
+    envs.close()
 
 
 @pytest.mark.slow

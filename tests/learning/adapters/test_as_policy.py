@@ -22,7 +22,7 @@ torch = pytest.importorskip("torch", reason="needs the extra `train`")
 
 from tests.evaluation.quick import SHORT  # noqa: E402
 from tests.learning.adapters import networks  # noqa: E402
-from tests.learning.adapters.networks import CHOICES, Counting, DictModule, NoisyModule, make_net, stay  # noqa: E402
+from tests.learning.adapters.networks import CHOICES, Counting, DictModule, NoisyModule, Restarting, make_net, stay  # noqa: E402
 from tests.learning.array_encodings import SingleFeatures  # noqa: E402
 
 DATA = SyntheticDataset()
@@ -49,10 +49,10 @@ def test_functions_get_the_observation() -> None:
     assert make("giver", lambda observation: np.zeros(8)).act(seen()).tolist() == [0.0] * 8
     scaled = functools.partial(lambda observation, gain: gain * observation["robot_joint_position"], gain=0.5)
     np.testing.assert_array_equal(make("receiver", scaled).act(seen()), 0.5 * JOINTS)
-    counting = make("receiver", Counting())
-    for _ in range(2):
-        counting.reset(3)
-        np.testing.assert_allclose(counting.act(seen()), JOINTS + 0.001)
+    for counting in (make("receiver", Counting()), make("receiver", Restarting())):
+        for _ in range(2):
+            counting.reset(3)
+            np.testing.assert_allclose(counting.act(seen()), JOINTS + 0.001)
 
 
 @pytest.mark.parametrize("agent", ["receiver", "giver"])

@@ -149,6 +149,7 @@ def test_models_that_do_not_fit_are_refused(encoded: Any, tmp_path: Path) -> Non
         (model, {"control_period": 0.1}, r"control_period must be 0\.2 as in training, got 0\.1"),
         (model, other, "must have 12 inputs and 7 outputs, got 64 and 7"),
         (squashed, {}, "computes something else"),
+        (make_model("PPO", gymnasium.wrappers.NormalizeObservation(encoded)), {}, "normalized by VecNormalize, got"),
         (gelu, {}, "must consist of linear layers with one activation"),
         (rescaled, {}, "features must be given, because the model does not record it"),
     ):

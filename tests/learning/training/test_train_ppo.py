@@ -2,6 +2,7 @@
 
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
@@ -10,6 +11,7 @@ import pytest
 
 from handover_marl import evaluate_pair
 from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.errors import OptionError
 from handover_marl.learning.policy_files import DenseNetwork, InputNormalization, PolicySpec, read_policy, write_policy
 from tests.helpers.short_episodes import shorten_episodes
 from tests.learning.training.scripts import REWARDS, script
@@ -93,6 +95,11 @@ def test_a_training_continues_from_a_policy_file(train: ModuleType, tmp_path: Pa
     out = train.main(train.Args(out=tmp_path / "out.npz", initial=first, learning_rate=0.0, workers=1, **small))
     spec, found, _ = read_policy(out, "receiver")
     assert (spec.features, spec.actions, spec.control_period) == ("grasp_velocity", "cartesian_delta", 0.1)
+    write_policy(first, spec, replace(network, activation="relu"))
+    with pytest.raises(OptionError, match="initial must be a network with tanh layers .* with relu layers"):
+        train.main(train.Args(out=out, initial=first, workers=1, **small))
+    with pytest.raises(OptionError, match="num_envs must be a multiple of workers"):
+        train.main(train.Args(out=out, workers=3, **small))
     inputs = rng.normal(size=70).astype(np.float32)
     np.testing.assert_allclose(found(inputs), network(inputs), atol=1e-6)
 

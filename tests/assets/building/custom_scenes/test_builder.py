@@ -3,6 +3,7 @@
 import json
 import shutil
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +11,12 @@ import numpy as np
 import pytest
 
 import handover_marl
-from handover_marl.assets.building.custom_scenes import CustomSceneFolder, MeshConfig
+from handover_marl.assets.building.custom_scenes import CustomSceneFolder, MeshConfig, builder
 from handover_marl.assets.hand_model import make_hand_geometry
 from handover_marl.config import TABLE_HEIGHT
 from handover_marl.datasets import open_dataset
 from handover_marl.datasets.custom.dataset import CustomDataset
-from handover_marl.errors import DataFormatError, HandoverError, SceneError, UnknownNameError
+from handover_marl.errors import DataFormatError, HandoverError, OptionError, SceneError, UnknownNameError
 from handover_marl.evaluation.verification import verify
 from tests.helpers.custom_scenes import make_box, make_recording, write_csv
 from tests.helpers.equality import read_files
@@ -40,15 +41,15 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> CustomSceneFolder:
 
     A right hand gives the box beside a mug, a left hand gives the box alone, and the box moves without a hand.
     """
-    builder = CustomSceneFolder(tmp_path_factory.mktemp("own") / "boxes")
-    builder.add_object("box", make_box(), MeshConfig(mass=0.2, concavity=1.0), grasps=4, workers=1, progress=False)
+    made = CustomSceneFolder(tmp_path_factory.mktemp("own") / "boxes")
+    made.add_object("box", make_box(), MeshConfig(mass=0.2, concavity=1.0), grasps=4, workers=1, progress=False)
     recording = make_recording()
     mug = np.tile(MUG, (len(recording["time"]), 1))
-    table = write_csv(builder.folder.parent / "motion.csv", {**recording, "025_mug": mug})
-    builder.add_motion(table, "box", "anna", recording="first", others=["025_mug"])
-    builder.add_motion(mirror(recording), "box", "ben", side="left", hand=3)
-    builder.add_motion({key: recording[key] for key in ("time", "object")}, "box", "anna", hand=None)
-    return builder
+    table = write_csv(made.folder.parent / "motion.csv", {**recording, "025_mug": mug})
+    made.add_motion(table, "box", "anna", recording="first", others=["025_mug"])
+    made.add_motion(mirror(recording), "box", "ben", side="left", hand=3)
+    made.add_motion({key: recording[key] for key in ("time", "object")}, "box", "anna", hand=None)
+    return made
 
 
 @pytest.mark.slow
@@ -182,6 +183,20 @@ def test_objects_that_cannot_be_added(scenes: CustomSceneFolder, name: str) -> N
     with pytest.raises(HandoverError, match="grasps must be an integer"):
         scenes.add_object("other", make_box(), MeshConfig(concavity=1.0), grasps=-1)
     assert read_files(scenes.folder) == before
+
+
+def test_an_object_that_another_process_adds_first_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder, config = CustomSceneFolder(tmp_path / "own"), MeshConfig(concavity=1.0)
+
+    def add_first(*_: object) -> tuple[np.ndarray, int]:
+        monkeypatch.undo()
+        folder.add_object("box", make_box(), config, grasps=0)
+        return np.zeros((0, 4, 4)), 0
+
+    monkeypatch.setattr(builder, "make_robot_grasps", add_first)
+    with pytest.raises(OptionError, match="name must be new, got 'box'"):
+        folder.add_object("box", make_box(), replace(config, mass=2.0), grasps=0)
+    assert folder.content.objects[0].mass < 2.0
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ import pytest
 from handover_marl.assets.building.custom_scenes.motion_tables import MotionConfig, make_trajectory, read_motion_table
 from handover_marl.assets.hand_model import make_hand_geometry
 from handover_marl.config import TABLE_HEIGHT
-from handover_marl.errors import DataFormatError, HandoverError
+from handover_marl.errors import DataFormatError, HandoverError, OptionError
 from handover_marl.geometry.poses import compose, invert_pose
 from tests.helpers.custom_scenes import make_recording, write_csv
 
@@ -180,6 +180,10 @@ def test_units_frames_and_orders_of_files(tmp_path: Path) -> None:
         np.testing.assert_allclose(table.time, recording["time"], atol=1e-6)
         np.testing.assert_allclose(table.bodies["object"][:, :3], expected[:, :3], atol=1e-6)
         np.testing.assert_allclose(np.abs(table.bodies["object"][:, 6]), 1.0)
+    rounded: Any = [0.6, 0.3, 0.0, 0.0, 0.0, 0.7, 0.71]
+    assert np.linalg.norm(MotionConfig(frame=rounded).frame[3:]) == pytest.approx(1.0)  # type: ignore[arg-type]
+    with pytest.raises(OptionError, match="frame must be 'world', 'table' or seven numbers"):
+        MotionConfig(frame=[*rounded[:5], 0.9, 0.9])  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("rate", [25.0, 119.88, 500.0])

@@ -15,6 +15,7 @@ from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import OptionError
 from handover_marl.learning.imitation.gaddpg.data_generation import DataGenerator, list_shared_scenes
 from handover_marl.learning.imitation.run import ImitationLearner
+from handover_marl.learning.training.run_folder import CHECKPOINT, read_checkpoint, write_checkpoint
 from handover_marl.receivers import make
 from tests.helpers.short_episodes import shorten_episodes
 from tests.learning.training.scripts import evaluate_hold, script
@@ -51,6 +52,11 @@ def test_interrupted_run_is_resumed(
     assert "2 gradient updates, wait 3.0: success" in printed
     assert "\n1 gradient updates" not in printed
     assert evaluated == ["latest.npz"] * 2
+    # A run may be stopped between its last update and the evaluation.
+    checkpoint = policy.parent / CHECKPOINT
+    read_checkpoint(checkpoint, lambda state: write_checkpoint(checkpoint, state | {"evaluated": 1, "best": -1.0}))
+    policy.unlink()
+    assert train.main(train.Args(**args, resume=True)).exists()
     receiver = make(("gaddpg", {"weights": str(policy)}), SyntheticDataset(robot="panda_camera"))
     assert receiver.label.startswith("gaddpg@own weights ")
 
