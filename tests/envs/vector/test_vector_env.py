@@ -302,14 +302,17 @@ def test_the_answer_to_an_interrupted_call_is_dropped() -> None:
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
+    def step_forever() -> None:
+        while True:
+            envs.step(actions)
+            envs.reset()
+
     envs = handover_marl.vector_env(2, "receiver", "replay", processes=1, **SHORT)
     actions = envs.reset(seed=0)[0]["robot_joint_position"]
     before = signal.signal(signal.SIGALRM, interrupt)
     signal.setitimer(signal.ITIMER_REAL, 0.002)
     with pytest.raises(KeyboardInterrupt):
-        while True:
-            envs.step(actions)
-            envs.reset()
+        step_forever()
     signal.signal(signal.SIGALRM, before)
     observations, infos = envs.reset(seed=5)
     assert infos["steps"].tolist() == [0, 0]

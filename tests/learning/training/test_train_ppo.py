@@ -96,7 +96,7 @@ def test_a_training_continues_from_a_policy_file(train: ModuleType, tmp_path: Pa
     spec, found, _ = read_policy(out, "receiver")
     assert (spec.features, spec.actions, spec.control_period) == ("grasp_velocity", "cartesian_delta", 0.1)
     write_policy(first, spec, replace(network, activation="relu"))
-    with pytest.raises(OptionError, match="initial must be a network with tanh layers .* with relu layers"):
+    with pytest.raises(OptionError, match=r"initial must be a network with tanh layers .* with relu layers"):
         train.main(train.Args(out=out, initial=first, workers=1, **small))
     with pytest.raises(OptionError, match="num_envs must be a multiple of workers"):
         train.main(train.Args(out=out, workers=3, **small))
