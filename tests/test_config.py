@@ -19,17 +19,10 @@ from handover_marl.config import (
 from handover_marl.errors import OptionError
 from handover_marl.simulation.camera.noise import CameraNoise
 
+PHYSICS = OFFICIAL_CONFIG.physics
 CONFIGS: tuple[CheckedConfig, ...] = (
-    OFFICIAL_CONFIG,
-    OFFICIAL_CONFIG.physics,
-    OFFICIAL_CONFIG.physics.panda,
-    OFFICIAL_CONFIG.physics.objects,
-    OFFICIAL_CONFIG.physics.hand,
-    OFFICIAL_CONFIG.physics.panda.motor,
-    OFFICIAL_CONFIG.protocol,
-    OFFICIAL_CONFIG.giver,
-    CameraConfig(),
-    CameraNoise(),
+    *(OFFICIAL_CONFIG, OFFICIAL_CONFIG.protocol, OFFICIAL_CONFIG.giver, CameraConfig(), CameraNoise()),
+    *(PHYSICS, PHYSICS.panda, PHYSICS.panda.motor, PHYSICS.objects, PHYSICS.hand),
 )
 
 

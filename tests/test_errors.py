@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import handover_marl
-from handover_marl import givers, receivers
+from handover_marl import evaluate_pair, givers, receivers
 from handover_marl.datasets.custom.scene_file import CustomObject
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.loop import call_policy
@@ -93,50 +93,25 @@ def look_up(key: str) -> None:
         (open_dataset, f"own:{'a' * 5000}", OptionError, "more than 255 bytes"),
         (lambda period: handover_marl.parallel_env(control_period=period), 1 / 30, OptionError, "take 0.033"),
         (lambda period: handover_marl.parallel_env(control_period=period), 100, OptionError, "for 100 ms pass 0.1"),
-        (
-            lambda physics: gymnasium.make(GYM_ID, physic=physics),
-            "fast",
-            UnknownArgumentError,
-            "did you mean 'physics'",
-        ),
+        (lambda name: gymnasium.make(GYM_ID, physic=name), "fast", UnknownArgumentError, "did you mean 'physics'"),
         (lambda actions: handover_marl.encode(make_env()).step(actions), {}, ResetNeededError, r"call reset\(\)"),
-        (
-            lambda policy: handover_marl.evaluate_pair(policy, "hold"),
-            receivers.Receiver,
-            OptionError,
-            "got a receiver; ",
-        ),
-        (
-            lambda policy: handover_marl.evaluate_pair("replay", policy),
-            len,
-            OptionError,
-            "or wrap a function or module by as_receiver",
-        ),
+        (lambda kind: evaluate_pair(kind, "hold"), receivers.Receiver, OptionError, "got a receiver; "),
+        (lambda kind: evaluate_pair("replay", kind), len, OptionError, "or wrap a function or module by as_receiver"),
         (lambda columns: load_stored_report().format(columns=columns), "success", OptionError, r"pass \['success'\]"),
         (lambda time: handover_marl.EvaluationConfig(inference_time=time), 100, OptionError, "for 100 ms pass 0.1"),
         (lambda scene: make_env().dataset.load_scene(scene), "14", SceneError, "by its number, got '14'"),
-        (
-            lambda scene: make_env().reset(options={"scene_id": scene}),
-            "105",
-            SceneError,
-            "by its number, got '105'",
-        ),
+        (lambda scene: make_env().reset(options={"scene_id": scene}), "105", SceneError, "by its number, got '105'"),
         (lambda fov: handover_marl.make_camera("wrist", vertical_fov=fov), 1.57, OptionError, "number from 5 to 175"),
         (lambda x: handover_marl.CameraConfig(position=(x, 0, 0)), 1600, OptionError, "from -100 to 100, got 1600"),
         (lambda turn: givers.make_giver_action(rotation=(0, 0, turn)), 45, ActionError, "rotation in rad"),
         (lambda rate: givers.make_giver_action(rate=rate), np.nan, ActionError, "rate must be 1 numbers"),
-        (
-            lambda period: handover_marl.evaluate_pair("replay", make_slow(period)),
-            50,
-            OptionError,
-            "for 100 ms set 0.1",
-        ),
+        (lambda period: evaluate_pair("replay", make_slow(period)), 50, OptionError, "for 100 ms set 0.1"),
         (lambda reset: act_alone({"receiver": {}}, reset), True, OptionError, r"pass observations\['receiver'\]"),
         (lambda reset: act_alone({}, reset), False, ResetNeededError, "call reset"),
         (lambda mass: CustomObject("box", 22, mass, 0.5), "heavy", OptionError, "mass of object box must be a number"),
         (lambda number: CustomObject("box", number, 0.1, 0.5), "22", OptionError, "must be an integer, got .22"),
         (lambda name: handover_marl.benchmark(receiver=name), "cooperative", UnknownNameError, "is a giver"),
-        (lambda name: handover_marl.evaluate_pair(name, "hold"), "reactive", UnknownNameError, "is a receiver"),
+        (lambda name: evaluate_pair(name, "hold"), "reactive", UnknownNameError, "is a receiver"),
         (givers.make, "wary.py", UnknownNameError, "a class in this file is wary:CLASS"),
         (givers.make, "learned:nope.npz", DataNotFoundError, "export_policy or a training script"),
         (lambda data: receivers.make("yang2021", data), "synthetic", OptionError, r"dataset must be env\.dataset"),

@@ -70,10 +70,8 @@ def test_signatures_show_every_option(function: Callable[..., Any], left_out: se
 def test_constructors_show_every_field_of_the_configuration(function: Callable[..., Any], own: set[str]) -> None:
     shown, expected = inspect.signature(function).parameters, inspect.signature(EnvConfig).parameters
     assert shown.keys() == expected.keys() | own
-    assert all(
-        (shown[name].default, shown[name].annotation) == (part.default, part.annotation)
-        for name, part in expected.items()
-    )
+    for name, part in expected.items():
+        assert (shown[name].default, shown[name].annotation) == (part.default, part.annotation), name
 
 
 def test_a_configuration_stands_alone() -> None:

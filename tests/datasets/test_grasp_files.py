@@ -36,10 +36,8 @@ def test_reads_python_2_pickles(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "content",
-    [
-        *(0, 200),
-        *({"other": np.eye(4)[None]}, {"transforms": np.eye(3)[None]}, {"transforms": np.full((2, 4, 4), np.nan)}, [1]),
-    ],
+    [0, 200, [1], {"other": np.eye(4)[None]}]
+    + [{"transforms": array} for array in (np.eye(3)[None], np.full((2, 4, 4), np.nan))],
 )
 def test_damaged_files(tmp_path: Path, content: object) -> None:
     path = tmp_path / "g.npy"

@@ -140,11 +140,7 @@ CAMERA_KEYS = [f"{name}_{key}" for name in ("wrist", "front") for key in ("rgb",
 
 def observe(count: int, randomization: CameraRandomization | None, seed: int = 5, **options: Any) -> Observation:
     """Return the camera data of `count` environments after a reset and a step."""
-    own: dict[str, Any] = {
-        "cameras": SMALL,
-        "obs_mode": "rgbd+segmentation+pointcloud",
-        "dataset": "synthetic",
-    } | options
+    own = {"cameras": SMALL, "obs_mode": "rgbd+segmentation+pointcloud", "dataset": "synthetic", **options}
     envs = handover_marl.vector_env(count, "receiver", camera_randomization=randomization, **own)
     envs.reset(seed=seed)
     observations = envs.step(envs.action_space.low)[0]

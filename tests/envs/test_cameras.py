@@ -30,12 +30,13 @@ SKEW = CameraConfig(
 EVERY = ("wrist", "front", "over_shoulder", WIDE, SKEW)
 NAMES = ("wrist", "front", "over_shoulder", "wide", "skew")
 SCENE = {"scene_id": 14}
+OPTIONS: dict[str, Any] = {"split": "val", "cameras": EVERY, "dataset": "synthetic"}
 #: Combinations of physics and renderer.
 RENDERERS = (("exact", "bullet"), ("fast", "rays"), ("mujoco", "rays"), ("mujoco", "bullet"))
 
 
 def make(physics: str = "mujoco", renderer: str = "rays", **options: Any) -> HandoverEnv:
-    options = {"split": "val", "cameras": EVERY, "obs_mode": "rgbd+segmentation", "dataset": "synthetic"} | options
+    options = {**OPTIONS, "obs_mode": "rgbd+segmentation", **options}
     return handover_marl.parallel_env(physics=physics, renderer=renderer, **options)
 
 
@@ -96,16 +97,8 @@ def test_deprojected_depth_is_on_the_bodies(physics: str, renderer: str) -> None
 def test_device_renders_every_camera() -> None:
     pytest.importorskip("torch", reason="needs the extra `warp`")
     pytest.importorskip("warp", reason="needs the extra `warp`")
-    options = {
-        "split": "val",
-        "cameras": EVERY,
-        "obs_mode": "state+rgbd+segmentation+pointcloud",
-        "dataset": "synthetic",
-    }
-    envs, env = (
-        handover_marl.vector_env(2, "receiver", backend="warp", **options),
-        make(obs_mode="state+rgbd+segmentation+pointcloud"),
-    )
+    options = {**OPTIONS, "obs_mode": "state+rgbd+segmentation+pointcloud"}
+    envs, env = handover_marl.vector_env(2, "receiver", backend="warp", **options), make(**options)
     observations, infos = envs.reset(seed=0, options=SCENE)
     expected = env.reset(options=SCENE)[0]["receiver"]
     for name in NAMES:

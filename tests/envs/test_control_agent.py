@@ -22,11 +22,10 @@ from handover_marl.episode.observations import Observation
 from handover_marl.errors import ActionError, OptionError, PolicyError, ResetNeededError, UnknownNameError
 from handover_marl.givers import Action, Giver, make_giver_action
 from handover_marl.policies.reference import parse_policy
-from tests.envs.test_handover_env import REPLAY, START
+from tests.envs.test_handover_env import REPLAY, START, SYNTHETIC
 from tests.episode.test_loop import ScribblingGiver
 from tests.helpers.equality import assert_equal
 
-SYNTHETIC: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "split": "val"}
 pytestmark = [pytest.mark.filterwarnings("ignore::UserWarning"), pytest.mark.usefixtures("only_known_scenes")]
 
 
@@ -149,8 +148,7 @@ HORIZON = 1600
 def make_env(control_period: float = 0.1) -> HandoverEnv:
     """Make an environment with short episodes, in which only the protocol's rules end an episode."""
     config = replace(OFFICIAL_CONFIG, protocol=replace(OFFICIAL_CONFIG.protocol, horizon_steps=HORIZON))
-    options: dict[str, Any] = {"dataset": "synthetic", "split": "val", "physics": "fast"}
-    return handover_marl.parallel_env(world_config=config, control_period=control_period, **options)
+    return handover_marl.parallel_env(world_config=config, control_period=control_period, **SYNTHETIC)
 
 
 def play_pair(agent: str, partner: Any, scene: int) -> tuple[Any, Observation]:

@@ -19,9 +19,10 @@ from handover_marl.envs.wrappers.control_agent import control_agent
 from handover_marl.envs.wrappers.encode import EncodedEnv, encode
 from handover_marl.errors import ActionError, OptionError, ResetNeededError, UnknownNameError
 from tests.envs.custom_rewards import approach
+from tests.envs.test_handover_env import SYNTHETIC
 from tests.helpers.equality import assert_equal
 
-OPTIONS: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "split": "val", "max_cycles": 6}
+OPTIONS: dict[str, Any] = {**SYNTHETIC, "max_cycles": 6}
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
 
 
@@ -104,9 +105,8 @@ def test_make_vec_uses_the_vector_environment() -> None:
     assert isinstance(envs, HandoverVectorEnv)
     assert envs.spec is not None
     envs.close()
-    giver = gymnasium.make_vec(
-        "HandoverMARL/Giver-v0", 1, features="giver", action_scheme="offer", partner="hold", **OPTIONS
-    )
+    options = {**OPTIONS, "features": "giver", "action_scheme": "offer", "partner": "hold"}
+    giver = gymnasium.make_vec("HandoverMARL/Giver-v0", 1, **options)
     assert giver.single_action_space.shape == (7,)
     giver.close()
 
@@ -144,9 +144,6 @@ def test_videos_have_the_duration_of_the_episode(tmp_path: Path) -> None:
     assert 0.15 - 1e-2 < ffmpeg.count_frames_and_secs(str(video))[1] - 0.6 < 0.3 + 1e-2
 
 
-SYNTHETIC: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "split": "val"}
-
-
 def encoded(agent: str, partner: str, actions: str | None = None, **options: Any) -> EncodedEnv:
     return encode(control_agent(parallel_env(**SYNTHETIC, **options), agent, partner), action_scheme=actions)
 
@@ -155,10 +152,8 @@ def encoded(agent: str, partner: str, actions: str | None = None, **options: Any
 def test_rewards_add_up_until_the_next_decision() -> None:
     """The reward of a step that lasts until the end of the episode is the sum over its control periods."""
     options = {"max_cycles": 40, "rewards": "shaped"}
-    env, world = (
-        encoded("giver", "hold", "offer", **options),
-        control_agent(parallel_env(**SYNTHETIC, **options), "giver", "hold"),
-    )
+    env = encoded("giver", "hold", "offer", **options)
+    world = control_agent(parallel_env(**SYNTHETIC, **options), "giver", "hold")
     _, infos = env.reset(seed=0, options={"scene_id": 9})
     before = infos["giver"]["steps"]
     assert 1000 <= before <= 2500

@@ -25,34 +25,26 @@ RELEASE[-1] = 1.0
 
 
 @pytest.fixture
-def episode() -> Iterator[Episode]:
-    episode = Episode("fast")
-    episode.reset(SCENE)
-    yield episode
-    episode.close()
-
-
-@pytest.fixture
-def batch_episode() -> Iterator[Episode]:
-    """Return an episode whose steps can be simulated in rollouts."""
-    episode = Episode("mujoco")
+def episode(request: pytest.FixtureRequest) -> Iterator[Episode]:
+    episode = Episode(getattr(request, "param", "fast"))
     episode.reset(SCENE)
     yield episode
     episode.close()
 
 
 @pytest.mark.slow
-def test_steps_with_callbacks_equal_rollouts(batch_episode: Episode, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("episode", ["mujoco"], indirect=True)
+def test_steps_with_callbacks_equal_rollouts(episode: Episode, monkeypatch: pytest.MonkeyPatch) -> None:
     """Steps with callbacks have the outcome of rollouts; the object is released once, after the robot grasped it."""
     releases: list[int] = []
-    release_target = type(batch_episode.world).release_target
+    release_target = type(episode.world).release_target
 
     def record_release(world: World) -> None:
         releases.append(len(outcomes))
         release_target(world)
 
     outcomes: list[tuple[object, ...]] = []
-    episode, steps = batch_episode, list[int]()
+    steps: list[int] = []
     monkeypatch.setattr(type(episode.world), "release_target", record_release)
     scene = DATASET.load_scene(9)
     for hooks in ((), (lambda _: steps.append(episode.steps),)):

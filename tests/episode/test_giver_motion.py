@@ -28,11 +28,6 @@ from tests.episode.one_giver import CONFIG, COUNT, HIGH, SCENES, OneGiver
 SCENE = SCENES[0]
 
 
-def compute_wrist_positions(hand_dof: np.ndarray, wrist_in_base: np.ndarray) -> np.ndarray:
-    positions, turns = pose(hand_dof)
-    return np.asarray(positions + turns.apply(wrist_in_base))
-
-
 def playback() -> OneGiver:
     return OneGiver(SCENE)
 
@@ -52,13 +47,14 @@ def pose(dof: np.ndarray) -> tuple[np.ndarray, Rotation]:
 
 
 def wrist(motion: ReferenceMotion) -> np.ndarray:
-    return compute_wrist_positions(motion.hand, compute_wrist_in_base(read_tree(SCENE.assets.hand)))
+    positions, turns = pose(motion.hand)
+    return np.asarray(positions + turns.apply(compute_wrist_in_base(read_tree(SCENE.assets.hand))))
 
 
-def held() -> OneGiver:
-    """Return a playback in which the object has been lifted and all motion has ended."""
+def held(steps: int = SCENE.n_frames) -> OneGiver:
+    """Return a playback in which the object has been lifted and, by default, all motion has ended."""
     played = playback()
-    advance(played, SCENE.n_frames)
+    advance(played, steps)
     assert played.holding
     return played
 
@@ -200,13 +196,8 @@ def seen(played: OneGiver) -> tuple[object, ...]:
     return played.frame, played.holding, played.opening_progress, played.deviation.tolist()
 
 
-def apply_wrist_offset() -> OneGiver:
-    """Return a playback that is 100 frames past the frame in which the object is picked up."""
-    played = playback()
-    lift = find_pick_up_frame(SCENE)
-    advance(played, lift + 100)
-    assert played.holding
-    return played
+#: Frame in which the object has been picked up, but still moves.
+LIFTED = find_pick_up_frame(SCENE) + 100
 
 
 @settings(max_examples=10)
@@ -214,7 +205,7 @@ def apply_wrist_offset() -> OneGiver:
 def test_only_what_was_simulated_counts(done: int, rate: float) -> None:
     """Steps that were planned but not simulated have no effect on the playback."""
     wanted = action(rate=rate, shift=(0.1, -0.2, 0.05), turn=(0.3, 0.0, -0.5))
-    whole, cut = apply_wrist_offset(), apply_wrist_offset()
+    whole, cut = held(LIFTED), held(LIFTED)
     planned = whole.plan(100, wanted, is_opening=True)
     whole.commit(done)
     short = advance(cut, done, wanted, is_opening=True)
@@ -228,10 +219,10 @@ def test_only_what_was_simulated_counts(done: int, rate: float) -> None:
 @pytest.mark.parametrize("rate", [-1.0, 1.0])
 def test_how_steps_are_cut_does_not_matter(rate: float) -> None:
     """The motion of a pausing or hurrying giver does not depend on the number of steps per control period."""
-    whole = apply_wrist_offset()
+    whole = held(LIFTED)
     planned = np.concatenate([advance(whole, 100, action(rate=rate)).hand for _ in range(3)])
     for length in (1, 10, 20, 50):
-        cut = apply_wrist_offset()
+        cut = held(LIFTED)
         parts = [advance(cut, length, action(rate=rate)).hand for _ in range(300 // length)]
         np.testing.assert_array_equal(planned, np.concatenate(parts))
         assert seen(whole) == seen(cut)

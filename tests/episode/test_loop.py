@@ -1,7 +1,7 @@
 """Tests of the episode loop: when policies act, their observations, seeds, hold times and errors."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -138,16 +138,21 @@ def pair() -> tuple[Counting, Counting]:
     return Counting(start, 0.07), Counting(np.zeros(8, dtype=np.float32), 0.03)
 
 
-def test_both_are_asked_when_they_want_to_be(pair: tuple[Counting, Counting]) -> None:
-    receiver, giver = pair
-    episode, decisions = Episode("fast"), Decisions()
+@pytest.fixture
+def episode() -> Iterator[Episode]:
+    episode = Episode("fast")
     episode.reset(SyntheticDataset().load_scene(SCENE))
+    yield episode
+    episode.close()
+
+
+def test_both_are_asked_when_they_want_to_be(pair: tuple[Counting, Counting], episode: Episode) -> None:
+    (receiver, giver), decisions = pair, Decisions()
     run_episode(episode, receiver, giver, until=200, callbacks=[decisions])
     assert (episode.steps, int(episode.status)) == (200, 0)
     assert receiver.times == list(range(0, 200, 70))
     assert giver.times == list(range(0, 200, 30))
     assert decisions.steps == sorted({*receiver.times, *giver.times})
-    episode.close()
 
 
 @pytest.mark.parametrize(
@@ -179,31 +184,24 @@ def test_actions_take_effect_after_the_inference_time(
     episode.close()
 
 
-def test_measured_inference_takes_simulated_time(pair: tuple[Counting, Counting]) -> None:
+def test_measured_inference_takes_simulated_time(pair: tuple[Counting, Counting], episode: Episode) -> None:
     receiver, _ = pair
     act = receiver.act
     receiver.act = lambda observation: [time.sleep(0.08), act(observation)][1]  # type: ignore[method-assign]
-    episode = Episode("fast")
-    episode.reset(SyntheticDataset().load_scene(SCENE))
     late = run_episode(episode, receiver, until=200, inference_time=MEASURED)
     assert late == 200
     assert len(receiver.times) in (2, 3)
     assert receiver.times[1] >= 80
-    episode.close()
 
 
-def test_playing_stops_on_request(pair: tuple[Counting, Counting]) -> None:
+def test_playing_stops_on_request(pair: tuple[Counting, Counting], episode: Episode) -> None:
     receiver, giver = pair
-    episode = Episode("fast")
-    episode.reset(SyntheticDataset().load_scene(SCENE))
     run_episode(episode, receiver, giver, until=lambda: len(receiver.times) == 3)
     assert episode.steps == receiver.times[-1] == 140
-    episode.close()
 
 
-def test_every_policy_gets_a_seed_of_its_own(pair: tuple[Counting, Counting]) -> None:
-    receiver, giver = pair
-    episode, dataset = Episode("fast"), SyntheticDataset()
+def test_every_policy_gets_a_seed_of_its_own(pair: tuple[Counting, Counting], episode: Episode) -> None:
+    (receiver, giver), dataset = pair, SyntheticDataset()
     for scene_id, seed in ((209, 0), (209, 1), (214, 0), (209, None), (209, 0)):
         episode.reset(dataset.load_scene(scene_id))
         run_episode(episode, receiver, giver, seed=seed, until=1)
@@ -212,7 +210,6 @@ def test_every_policy_gets_a_seed_of_its_own(pair: tuple[Counting, Counting]) ->
     assert len({*receiver.seeds[:3], *giver.seeds[:3]}) == 6
     # Without a seed, the seed is 0, so that results can be reproduced.
     assert receiver.seeds[0] == receiver.seeds[3] == receiver.seeds[4]
-    episode.close()
 
 
 def test_the_seed_of_a_receiver_depends_on_the_run_and_on_every_observed_array() -> None:

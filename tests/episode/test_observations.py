@@ -110,13 +110,8 @@ def test_real_numbers_are_rounded_to_float32(action: object) -> None:
 @pytest.mark.parametrize(
     "action",
     [
-        ["0.1"] * 9,
-        [None] + [0.0] * 8,
-        np.zeros(9, dtype=complex),
-        [10**400] * 9,
-        [[0.0], [0.0, 1.0]],
-        np.zeros(9, dtype="datetime64[s]"),
-        Tensor(),
+        *(["0.1"] * 9, [None] + [0.0] * 8, [10**400] * 9, [[0.0], [0.0, 1.0]]),
+        *(np.zeros(9, dtype=complex), np.zeros(9, dtype="datetime64[s]"), Tensor()),
     ],
 )
 def test_what_is_no_number_is_refused(action: object) -> None:

@@ -57,9 +57,9 @@ def make_report() -> Report:
     return Report(metadata, tuple(episodes))
 
 
-def write_results(path: Path) -> Path:
-    """Write the result folder of `make_report` to a path, and return it."""
-    report = make_report()
+def write_results(path: Path, report: Report | None = None) -> Path:
+    """Write the result folder of a report, by default that of `make_report`, to a path, and return it."""
+    report = report or make_report()
     folder = ResultFolder(path, report.metadata)
     for result in report.episodes:
         times = np.zeros(result.steps)

@@ -4,7 +4,6 @@ import csv
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 from PIL import Image
 
@@ -14,28 +13,21 @@ from handover_marl.datasets.splits import list_split_scenes
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import ResultsError
 from handover_marl.evaluation.comparison import Comparison
-from handover_marl.evaluation.metadata import ResultMetadata
 from handover_marl.evaluation.reports.report import Report
-from handover_marl.evaluation.results import EpisodeResult, ResultFolder, encode_result
+from handover_marl.evaluation.results import EpisodeResult
+from tests.evaluation.quick import write_results
 from tests.evaluation.reports.test_report import SETTINGS, episode
 from tests.helpers.short_episodes import shorten_episodes
 
 
-def folder(
-    path: Path,
-    receiver: str,
-    outcomes: dict[int, int],
-    fingerprint: str = "data",
-    split: str = "test",
-    version: str = "1",
-) -> Path:
-    made = ResultFolder(path, ResultMetadata("s0", split, receiver, "replay", "exact", "dexycb", version))
-    scenes = list_split_scenes("s0", split, lambda scene: "")
-    for index, status in outcomes.items():
-        result = EpisodeResult(index, EpisodeStatus(status), 100 + index, 0.0, scenes[index], fingerprint=fingerprint)
-        content = encode_result(result, np.zeros((result.steps, 9), np.float32), np.zeros(result.steps))
-        made.write(result, content)
-    return path
+def folder(path: Path, receiver: str, outcomes: dict[int, int], fingerprint: str = "data", **settings: str) -> Path:
+    metadata = replace(SETTINGS, receiver=receiver, **settings)
+    scenes = list_split_scenes("s0", metadata.split, lambda scene: "")
+    episodes = (
+        EpisodeResult(index, EpisodeStatus(status), 100 + index, 0.0, scenes[index], fingerprint=fingerprint)
+        for index, status in outcomes.items()
+    )
+    return write_results(path, Report(metadata, tuple(episodes)))
 
 
 def test_common_scenes_are_paired(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -71,10 +71,8 @@ BODY = f"{TRIANGLE}v 0 0 1\nf 1 2 3\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
 @pytest.mark.parametrize(
     "text",
     [
-        f"\ufeff{BODY}",
-        BODY.replace("2 3\n", "2 3 # x\n", 1),
-        BODY.replace(" 3\n", " \\\n3\n"),
-        BODY.replace("\n", "\r"),
+        *(f"\ufeff{BODY}", BODY.replace("\n", "\r")),
+        *(BODY.replace("2 3\n", "2 3 # x\n", 1), BODY.replace(" 3\n", " \\\n3\n")),
     ],
 )
 def test_forms_that_pybullet_reads_wrong_are_refused(text: str, tmp_path: Path) -> None:

@@ -150,12 +150,8 @@ def _hand_urdf() -> str:
             for axis in range(3):
                 shape = '<sphere radius="0.008"/>' if axis == 2 else ""
                 parts.append(_link(f"link{index}", 0.02 if axis == 2 else 0.0, shape))
-                parts.append(
-                    _joint(
-                        index, "revolute", _AXES[axis], origin if axis == 0 else "0 0 0", parent if axis == 0 else None
-                    )
-                )
-                index += 1
+                parts.append(_joint(index, "revolute", _AXES[axis], origin, parent))
+                index, origin, parent = index + 1, "0 0 0", index
     return f'<?xml version="1.0"?><robot name="hand">{"".join(parts)}</robot>'
 
 

@@ -19,15 +19,7 @@ MAX_STEPS, WHOLE = 3020, "camera_scene297_omg"
 NAMES = sorted(path.stem for path in Path(RECORDINGS).glob("camera/*.npz")) if RECORDINGS else ["none"]
 #: Labels of the recordings' body numbers: ground 0, table 1, Panda 2, object 3, hand 4, nothing -1.
 SEEN = np.array(
-    [
-        SegmentationLabel.BACKGROUND,
-        SegmentationLabel.TABLE,
-        SegmentationLabel.ROBOT,
-        SegmentationLabel.TARGET,
-        SegmentationLabel.HAND,
-        SegmentationLabel.BACKGROUND,
-    ],
-    dtype=np.uint8,
+    [SegmentationLabel[name] for name in ("BACKGROUND", "TABLE", "ROBOT", "TARGET", "HAND", "BACKGROUND")], np.uint8
 )
 
 
@@ -40,17 +32,12 @@ class Clouds:
         self.by_frame = dict(zip(recording["cloud_frames"].tolist(), zip(*parts, strict=True), strict=True))
 
 
-@pytest.fixture
-def camera_dataset(real_dataset: OfficialDataset) -> OfficialDataset:
-    return OfficialDataset(real_dataset.data_dir, robot="panda_camera")
-
-
 @pytest.mark.parametrize("name", NAMES)
-def test_recorded_views_are_seen(name: str, recordings: Path, camera_dataset: OfficialDataset) -> None:
+def test_recorded_views_are_seen(name: str, recordings: Path, real_data: Path) -> None:
     with np.load(recordings / f"camera/{name}.npz") as archive:
         expected = dict(archive)
     clouds, episode = Clouds(expected).by_frame, Episode("exact")
-    episode.reset(camera_dataset.load_scene(int(expected["scene_id"])))
+    episode.reset(OfficialDataset(real_data, robot="panda_camera").load_scene(int(expected["scene_id"])))
     actions = expected["action"][: None if name == WHOLE else MAX_STEPS]
     for step in range(len(actions) + 1):
         if step in clouds:

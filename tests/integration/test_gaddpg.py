@@ -91,15 +91,9 @@ class Joints(EpisodeCallback):
             self.rows.append(episode.world.read_joint_snapshot().robot)
 
 
-@pytest.fixture(scope="module")
-def dataset(real_dataset: OfficialDataset) -> OfficialDataset:
-    return OfficialDataset(real_dataset.data_dir, robot="panda_camera")
-
-
 @pytest.mark.parametrize("name", NAMES)
-def test_decisions_actions_and_outcome_are_the_recorded_ones(
-    name: str, recordings: Path, dataset: OfficialDataset
-) -> None:
+def test_decisions_actions_and_outcome_are_the_recorded_ones(name: str, recordings: Path, real_data: Path) -> None:
+    dataset = OfficialDataset(real_data, robot="panda_camera")
     with np.load(recordings / f"gaddpg/{name}.npz") as archive:
         expected = dict(archive)
     end = int(expected["steps"]) if name == WHOLE else MAX_STEPS

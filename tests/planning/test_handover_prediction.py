@@ -37,11 +37,8 @@ def test_moving_object_is_extrapolated_and_attracted() -> None:
     predictor = track_steady_motion(speed)
     here = np.array([0.5, speed, 1.0])
     pulled = config.attraction * np.tanh(speed / config.attraction_speed)
-    wanted = (
-        here
-        + config.velocity_horizon * np.array([0.0, speed, 0.0])
-        + pulled * (np.array(config.mean_handover_position) - here)
-    )
+    ahead = config.velocity_horizon * np.array([0.0, speed, 0.0])
+    wanted = here + ahead + pulled * (np.array(config.mean_handover_position) - here)
     np.testing.assert_allclose(predictor.predict_handover_pose()[:3], wanted, atol=1e-6)
 
 

@@ -14,7 +14,8 @@ from handover_marl.planning.planner import Chomp, Planner, PlannerConfig, make_i
 from handover_marl.planning.trajectory_cost import Obstacle, ObstacleCost, sample_body_points
 from tests.planning.robots import ARM, LIMITS, START
 
-BODY = sample_body_points(SyntheticDataset().panda_urdf, tuple(ARM.link_names), 15)
+URDF = SyntheticDataset().panda_urdf
+BODY = sample_body_points(URDF, tuple(ARM.link_names), 15)
 GOAL = np.array([0.4, 0.2, -0.3, -1.8, 0.3, 2.2, 0.6])
 N_APPROACH = 5
 
@@ -63,13 +64,9 @@ def test_steps_avoid_an_obstacle() -> None:
     assert after > before + 0.02
 
 
-URDF = SyntheticDataset().panda_urdf
-
-
 def make_builder(unchecked_last: bool = False) -> GoalSetBuilder:
-    body = sample_body_points(URDF, tuple(ARM.link_names), 15)
     gripper = sample_body_points(URDF, (HAND_LINK, *FINGER_LINKS), 60)
-    return GoalSetBuilder(ARM, body, gripper, START, LIMITS, unchecked_last)
+    return GoalSetBuilder(ARM, BODY, gripper, START, LIMITS, unchecked_last)
 
 
 def grasps(count: int = 12) -> np.ndarray:

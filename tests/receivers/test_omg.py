@@ -66,10 +66,8 @@ def test_retreat_is_straight(handover_observation: Observation) -> None:
     path = np.array([action[:7] for action in actions], dtype=np.float64)
     points = transform_points(receiver.world_from_base, receiver.arm.compute_chain_frames(path).origins[-1].T)
     # The observation does not change, so the line starts at the hand's position at 3 s.
-    start, goal = (
-        handover_observation["gripper_pose"][:3].astype(np.float64),
-        np.array(receiver.context.protocol.goal_center),
-    )
+    start = handover_observation["gripper_pose"][:3].astype(np.float64)
+    goal = np.array(receiver.context.protocol.goal_center)
     length = float(np.linalg.norm(goal - start))
     along = (points - start) @ (goal - start) / length
     lateral = np.linalg.norm(points - start - along[:, None] * (goal - start) / length, axis=1)

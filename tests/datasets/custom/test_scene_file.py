@@ -44,11 +44,8 @@ def test_content_is_read_as_it_was_written(tmp_path: Path) -> None:
         *(
             ({"scenes": [{**vars(CONTENT.scenes[0]), key: value}, vars(CONTENT.scenes[1])]}, message)
             for key, value, message in (
-                *(
-                    ("name", "x", ""),
-                    ("name", "../1", "1 to 64"),
-                    ("name", "ben/2", "names of scenes must be different"),
-                ),
+                *(("name", "x", ""), ("name", "../1", "1 to 64")),
+                ("name", "ben/2", "names of scenes must be different"),
                 *(("side", "up", "unknown side 'up'; valid: left, right"), ("hand", 0, "unknown hand 0; valid: 1, 2")),
                 *(("objects", ["cup", "cup"], "must be different"), ("objects", ["jar"], "unknown class 'jar'")),
             )

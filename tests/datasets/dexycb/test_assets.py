@@ -19,12 +19,7 @@ from handover_marl.datasets.dexycb.assets import (
     write_stand_ins,
     write_table_assets,
 )
-from handover_marl.datasets.official import (
-    PANDA_FILES,
-    is_stand_in_file,
-    list_required_files,
-    load_grasps,
-)
+from handover_marl.datasets.official import PANDA_FILES, is_stand_in_file, list_required_files, load_grasps
 from handover_marl.episode.episode import Episode
 from handover_marl.errors import DataFormatError
 from handover_marl.geometry.model_files.urdf import list_mesh_references
@@ -79,10 +74,8 @@ FILES = {
 
 
 def test_files_are_installed(tmp_path: Path) -> None:
-    entries = {f"./handover/data/assets/{path}": content for path, content in FILES.items()} | {
-        "LICENSE": b"",
-        "x/y/z.obj": b"",
-    }
+    entries = {"LICENSE": b"", "x/y/z.obj": b""}
+    entries |= {f"./handover/data/assets/{path}": content for path, content in FILES.items()}
     (note,) = install_third_party(tar(tmp_path / "a.tar.gz", "w:gz", content=entries), tmp_path / "assets")
     assert f"1 of the {len(FILES)} " in note
     assert "grasps/003_cracker_box.npy" in note, "the one whose sum is known"

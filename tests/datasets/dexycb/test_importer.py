@@ -16,10 +16,7 @@ from handover_marl.cli import main
 from handover_marl.datasets import OfficialDataset
 from handover_marl.datasets.dexycb.importer import ImportReport, import_dexycb
 from handover_marl.datasets.dexycb.scenes import SequenceFolder, find_sequences, read_sequence, read_sequence_names
-from handover_marl.datasets.official import (
-    CACHE_FOLDER,
-    list_required_files,
-)
+from handover_marl.datasets.official import CACHE_FOLDER, list_required_files
 from handover_marl.errors import (
     DataFormatError,
     DataNotFoundError,
@@ -218,6 +215,10 @@ def save_poses(**arrays: np.ndarray) -> Callable[[SequenceFolder], object]:
     return lambda sequence: np.savez(sequence.folder / "pose.npz", **given)  # type: ignore[arg-type]
 
 
+def find_raw(sequence: SequenceFolder) -> Path:
+    return sequence.folder.parents[1]
+
+
 DAMAGES: list[tuple[Callable[[SequenceFolder], Any], str]] = [
     (lambda sequence: (sequence.folder / "meta.yml").write_bytes(b""), r"meta\.yml.*expand"),
     (lambda sequence: (sequence.folder / "meta.yml").write_bytes(b"a: [\xff"), r"meta\.yml.*expand"),
@@ -227,16 +228,10 @@ DAMAGES: list[tuple[Callable[[SequenceFolder], Any], str]] = [
     (save_poses(pose_y=np.full_like(OBJECTS, np.inf)), "pose_y must be finite"),
     (save_poses(pose_m=np.zeros_like(HAND)), "few have a hand"),
     (save_poses(pose_m=np.concatenate([HAND[:2], 0 * HAND[:1], HAND[3:]])), "zero only at start and end"),
-    (lambda sequence: write_yaml(extrinsics_file(sequence.folder.parents[1]), {}), "KeyError: 'extrinsics'"),
-    (
-        lambda sequence: write_yaml(mano_file(sequence.folder.parents[1]), {"betas": ["x"] * 10}),
-        "could not convert string",
-    ),
-    (lambda sequence: RawScene(meta={"ycb_ids": [2, 99]}).write(sequence.folder.parents[1]), r"got .2, 99."),
-    (
-        lambda sequence: RawScene(meta={"mano_calib": []}).write(sequence.folder.parents[1]),
-        "not a readable file of DexYCB",
-    ),
+    (lambda sequence: write_yaml(extrinsics_file(find_raw(sequence)), {}), "KeyError: 'extrinsics'"),
+    (lambda sequence: write_yaml(mano_file(find_raw(sequence)), {"betas": ["x"] * 10}), "could not convert string"),
+    (lambda sequence: RawScene(meta={"ycb_ids": [2, 99]}).write(find_raw(sequence)), r"got .2, 99."),
+    (lambda sequence: RawScene(meta={"mano_calib": []}).write(find_raw(sequence)), "not a readable file of DexYCB"),
 ]
 
 

@@ -47,13 +47,8 @@ def encoder_weights(prefix: str, channels: int, rng: torch.Generator) -> dict[st
 
 
 def head_weights(rng: torch.Generator) -> dict[str, torch.Tensor]:
-    shapes = {
-        "linear1": (256, 513),
-        "linear2": (256, 256),
-        "mean": (6, 256),
-        "extra_pred": (7, 256),
-        "log_std_linear": (6, 256),
-    }
+    shapes = {"linear1": (256, 513), "linear2": (256, 256)}
+    shapes |= {"mean": (6, 256), "extra_pred": (7, 256), "log_std_linear": (6, 256)}
     weights = {f"{name}.weight": torch.randn(shape, generator=rng) / 16.0 for name, shape in shapes.items()}
     return weights | {f"{name}.bias": torch.randn(shape[0], generator=rng) for name, shape in shapes.items()}
 
@@ -188,13 +183,11 @@ def test_others_are_refused(file: Path, tmp_path: Path) -> None:
         read_network_weights(damaged, GaddpgNetwork)
     with np.load(file) as content:
         arrays = dict(content)
-    for name, value in (("about", np.array("{}")), ("policy.mean.bias", np.full(6, np.nan, dtype=np.float32))):
+    bias = "policy.mean.bias"
+    for name, value in (("about", np.array("{}")), (bias, np.float32([np.nan] * 6)), (bias, np.array([object()]))):
         np.savez(damaged, **(arrays | {name: value}))
         with pytest.raises(DataFormatError):
             read_network_weights(damaged, GaddpgNetwork)
-    np.savez(damaged, **(arrays | {"policy.mean.bias": np.array([object()])}), allow_pickle=True)
-    with pytest.raises(DataFormatError):
-        read_network_weights(damaged, GaddpgNetwork)
 
 
 @pytest.mark.parametrize(

@@ -215,11 +215,8 @@ def test_renderers_draw_the_same_colours(request: pytest.FixtureRequest, tmp_pat
     rng, compared = np.random.default_rng(0), dict.fromkeys(SegmentationLabel, 0)
     scenes = load_colored_scenes(request, data, tmp_path)
     for scene in scenes:
-        bullet, rays, device = (
-            SceneRenderer(scene, CONFIG),
-            RayCamera(scene.assets, CONFIG),
-            WarpCamera(CONFIG, 1, TENSORS),
-        )
+        bullet, rays = SceneRenderer(scene, CONFIG), RayCamera(scene.assets, CONFIG)
+        device = WarpCamera(CONFIG, 1, TENSORS)
         device.load_scene(0, scene.assets)
         for _ in range(4):
             now = draw_snapshot(scene, CONFIG, rng)
