@@ -133,7 +133,7 @@ QUANTITIES: dict[str, Callable[[], Any]] = {
     "rotation vector to the grasp; zeros without a grasp": lambda: (
         rotation_of(GRIPPER).inv() * rotation_of(grasp())
     ).as_rotvec(),
-    "distance of the person's hand from the gripper at the grasp": lambda: [
+    "clearance of the person's hand on the way to the grasp, at most 0.2 m": lambda: [
         select_grasp(CONTEXT, OBSERVATION)[1]  # type: ignore[index]
     ],
     "grasp exists": lambda: [1.0],
