@@ -186,7 +186,8 @@ class GraspFeatures(ReceiverFeatures):
     """Features (64): those of `ReceiverFeatures` (56), and of the grasp of lowest cost (8).
 
     The latter are, in the gripper frame: translation to the grasp (3, scaled), rotation vector to it (3), clearance
-    of the gripper to the person's hand on its way to the grasp (1, scaled), and whether grasps of the object are known (1).
+    of the gripper to the person's hand on its way to the grasp (1, scaled), and whether grasps of the object are known
+    (1).
     """
 
     name, size = "grasp", ReceiverFeatures.size + 8
