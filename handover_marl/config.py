@@ -126,8 +126,8 @@ def _check_number(name: str, value: Any, is_integer: bool, limits: tuple[float, 
 class MotorConfig(CheckedConfig):
     """Motor parameters of the position control of a group of joints.
 
-    In fast and MuJoCo physics, an object without robot contact, and the human hand at all times, follow their targets
-    by `position_gain` alone: their `force` and `velocity_gain` have no effect.
+    In fast and MuJoCo physics, objects that the Panda cannot reach soon, and the human hand at all times, follow their
+    targets by `position_gain` alone: their `force` and `velocity_gain` have no effect.
 
     Attributes:
         force: Largest motor force (N) or torque (N m).

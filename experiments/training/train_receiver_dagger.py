@@ -232,7 +232,7 @@ def main(args: Args) -> Path:
     folder = open_run_folder(args.out, args, args.resume, dataset.name, ("rounds", "closing_margin", "workers"))
     torch.set_num_threads(1)  # The networks are small, and the other cores simulate.
     period = parse_policy("receiver", args.expert).make(dataset, setup=args.setup).hold_time
-    origin = describe_origin("train_receiver_dagger", args)
+    origin = describe_origin("train_receiver_dagger", args, "workers")
     spec = PolicySpec("receiver", args.features, args.action_scheme, period, origin)
     decisions: list[Decisions] = []
     student = None

@@ -105,7 +105,7 @@ def main(args: Args) -> Path:
     parts = [load_views(args, select(scenes)) for select in (select_training_scenes, select_held_out_scenes)]
     torch.set_num_threads(1)
     pixels, path = folder / "pixels.npz", folder / "segmentation.npz"
-    origin, device = {"made by": describe_origin("train_segmentation", args)}, torch.device(args.device)
+    origin, device = {"made by": describe_origin("train_segmentation", args, "workers")}, torch.device(args.device)
     if not pixels.exists():
         torch.manual_seed(args.seed)
         learner = SegmentationLearner(SegmentationNetwork(), args.updates, device)

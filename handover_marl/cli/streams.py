@@ -13,14 +13,13 @@ if TYPE_CHECKING:
 
 def prepare_streams() -> None:
     """Let stdout and stderr escape characters that they cannot encode; open them if they are closed."""
-    for number, name in ((1, "stdout"), (2, "stderr")):
+    for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if stream is None:  # as in `>&-`; libraries flush the streams, also in worker processes
+            # The lowest free descriptor, mostly that of the stream.
             handle = os.open(os.devnull, os.O_WRONLY)
-            if handle != number:
-                os.dup2(handle, number)
-            os.set_inheritable(number, True)
-            setattr(sys, name, os.fdopen(number, "w", closefd=False))
+            os.set_inheritable(handle, True)
+            setattr(sys, name, os.fdopen(handle, "w", errors="backslashreplace", closefd=False))
         elif isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
 

@@ -203,9 +203,9 @@ class AdaptiveGiver(ArrayGiver):
     """Giver that chooses the best of many random offers when the recorded hand is about to stop.
 
     An offer is a handover pose and a withdrawal; the rest of the motion is that of `HandoverPoseScheme`. A network
-    predicts success and time of an offer from what the person sees, see `OfferFeatures`. The network
-    that ships was trained with the receivers `yang2021` and `dagger`, but does not observe who the receiver is. Objects
-    without known grasps are handed over at the recorded pose.
+    predicts success and time of an offer from what the person sees, see `OfferFeatures`. The network that ships was
+    trained with the receivers `yang2021` and `dagger`, but does not observe who the receiver is. Objects without known
+    grasps are handed over at the recorded pose.
 
     Args:
         context: Robot, task and known grasps of the objects.

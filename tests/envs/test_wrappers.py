@@ -213,9 +213,11 @@ def test_observations_that_are_changed_in_place_change_no_action() -> None:
     np.testing.assert_array_equal(*states)
 
 
+@pytest.mark.slow
 def test_images_of_steps_that_skip_decisions_are_no_video() -> None:
-    env = encoded("receiver", "replay", "grasp_servo", render_mode="rgb_array", camera=CameraConfig(width=8, height=8))
+    env = encoded("giver", "hold", "offer", render_mode="rgb_array", camera=CameraConfig(width=8, height=8))
     env.reset(seed=0)
+    env.step({"giver": np.zeros(7)})
     with pytest.warns(UserWarning, match="RecordVideoParallel"):
         env.render()
 

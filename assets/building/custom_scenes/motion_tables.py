@@ -9,6 +9,7 @@ CSV files that OptiTrack's Motive exports, with several header lines, are read t
 names `object`, `wrist` and the class names of the other objects.
 """
 
+import contextlib
 import csv
 import re
 from collections.abc import Mapping, Sequence
@@ -87,7 +88,9 @@ class MotionConfig:
             pose = getattr(self, name)
             if pose is None or isinstance(pose, str):
                 continue
-            numbers = np.array(pose, dtype=np.float64) if len(pose) == 7 else np.zeros(7)
+            numbers = np.zeros(7)
+            with contextlib.suppress(TypeError, ValueError):
+                numbers[:] = np.array(pose, dtype=np.float64).reshape(7)
             norm = float(np.linalg.norm(numbers[3:]))
             if not (np.isfinite(numbers).all() and abs(norm - 1.0) < _MAX_NORM_ERROR):
                 names = "'world', 'table' or " if name == "frame" else ""

@@ -75,12 +75,14 @@ def _stack_infos(infos: Sequence[ByAgent]) -> ByAgent:
 
 
 class ThreadedEnvGroup:
-    """Environments in groups that are simulated at the same time; see `batch.EnvGroup`.
+    """Environments in groups that are simulated at the same time, each in its own thread; see `batch.EnvGroup`.
+
+    If the caller is interrupted, a group ends its call before it begins the next one.
 
     Args:
         make: Function that makes the environments of a group; it gets the number of these environments.
         count: Number of environments.
-        n_groups: Number of groups, at least 2 and at most `count`.
+        n_groups: Number of groups, at most `count`.
     """
 
     def __init__(self, make: Callable[[int], EnvGroup], count: int, n_groups: int) -> None:
@@ -88,7 +90,7 @@ class ThreadedEnvGroup:
         self._groups = [make(len(rows)) for rows in group_rows]
         self._firsts = [int(rows[0]) for rows in group_rows]
         self.arrays = self._groups[0].arrays
-        self._pool = ThreadPoolExecutor(n_groups)
+        self._threads = [ThreadPoolExecutor(1) for _ in self._groups]
 
     def reset(self, rows: Indices, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
         """Start episodes in the environments `rows` (r,), with a seed for each; see `batch.EnvGroup.reset`."""
@@ -108,9 +110,9 @@ class ThreadedEnvGroup:
 
     def close(self) -> None:
         """Free the simulations."""
-        for group in self._groups:
+        for thread, group in zip(self._threads, self._groups, strict=True):
+            thread.shutdown()
             group.close()
-        self._pool.shutdown()
 
     def _map(self, rows: Indices, function: Callable[[EnvGroup, Indices, Indices], EnvResult]) -> EnvResult:
         """Call a function for each group with some of the environments `rows` (r,), ascending, and join the results.
@@ -118,14 +120,12 @@ class ThreadedEnvGroup:
         The function gets a group, indices of environments in the group, and the indices of these in `rows`.
         """
         numbers = np.searchsorted(self._firsts, rows, side="right") - 1
-        futures, group_indices = [], [np.flatnonzero(numbers == number) for number in range(len(self._groups))]
-        try:
-            for group, first, indices in zip(self._groups, self._firsts, group_indices, strict=True):
-                if len(indices):
-                    futures.append((indices, self._pool.submit(function, group, rows[indices] - first, indices)))
-        finally:
-            # All groups finish before an error is raised, also if the caller is interrupted.
-            wait([future for _, future in futures])
+        futures = []
+        for number, (thread, group, first) in enumerate(zip(self._threads, self._groups, self._firsts, strict=True)):
+            if len(indices := np.flatnonzero(numbers == number)):
+                futures.append((indices, thread.submit(function, group, rows[indices] - first, indices)))
+        # All groups finish before the first error is raised.
+        wait([future for _, future in futures])
         return merge_results(len(rows), [(indices, future.result()) for indices, future in futures])
 
 
@@ -133,7 +133,8 @@ class ProcessEnvGroup:
     """Environments of one configuration in a process of their own; see `batch.EnvGroup`.
 
     Threads of one process run at the same time only while MuJoCo simulates; processes always do. The process starts at
-    once. The first call waits for the process, and raises the errors of `make`.
+    once. The first call waits for the process, and raises the errors of `make`. Calls must not be interrupted, so that
+    each answer belongs to its call; `ThreadedEnvGroup` calls from a thread, in which no signals are handled.
 
     Args:
         make: Function that makes the environments and gets their number; must be picklable by value.
@@ -149,9 +150,7 @@ class ProcessEnvGroup:
         self._process = context.Process(target=_run_worker, args=(child, pickle_by_value((make, count))), daemon=True)
         self._process.start()
         child.close()
-        self._is_closed = False
-        # Number of answers that the process owes: first that the environments are made, then one for each call.
-        self._n_awaited = 1
+        self._is_ready = self._is_closed = False
 
     def reset(self, rows: Indices, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
         """Start episodes in the environments `rows` (r,), with a seed for each; see `batch.EnvGroup.reset`."""
@@ -183,10 +182,9 @@ class ProcessEnvGroup:
     def _call(self, name: str, *arguments: Any) -> Any:
         """Call a method of the environments in the process; return its result, or raise its error or a WorkerError."""
         try:
-            # The answer to a call that was interrupted is dropped.
-            while self._n_awaited:
+            if not self._is_ready:
                 self._receive()
-            self._n_awaited += 1
+                self._is_ready = True
             self._pipe.send(pickle_by_value((name, arguments)))
             return self._receive()
         except (EOFError, OSError) as error:
@@ -196,7 +194,6 @@ class ProcessEnvGroup:
 
     def _receive(self) -> Any:
         result = self._pipe.recv()
-        self._n_awaited -= 1
         if isinstance(result, Exception):
             raise result
         return result

@@ -223,7 +223,8 @@ def vector_env(
         n_groups = (threads or count_available_cores()) if backend == THREADS and not obstacle else 1
         make = functools.partial(make, template=template, load_scene=_cache_scenes(template))
     n_groups = min(n_groups, count)
-    envs = make(count) if n_groups == 1 else ThreadedEnvGroup(make, count, n_groups)
+    is_alone = n_groups == 1 and processes is None
+    envs = make(count) if is_alone else ThreadedEnvGroup(make, count, n_groups)
     both = ParallelVectorEnv(envs, template, count, AutoresetMode[autoreset.upper()])
     return both if agent is None else HandoverVectorEnv(both, template.render_mode)
 

@@ -134,7 +134,6 @@ class EncodedEnv(ParallelWrapper):
             for features in self._features.values():
                 features.reset(0)
             while self._can_skip():
-                self._has_skipped = True
                 self._observations, _, _, _, infos = self._advance()
             if self.agents:
                 return self._compute_features(), infos

@@ -116,7 +116,7 @@ class FunctionPolicy(ArrayPolicy):
         return policy
 
     def start(self, row: int, seed: int | None) -> None:
-        """Start the episode with index `row`, and call the method `reset(seed)` of the function if it has one."""
+        """Start the episode with index `row`, and call the function's own `reset`, see `reset_function`."""
         self.scheme.reset(row)
         if self._features is not None:
             self._features.reset(row)
@@ -221,9 +221,10 @@ def reset_function(function: object, seed: int | None) -> None:
     reset = getattr(function, "reset", None)
     if not callable(reset):
         return
-    if "seed" in inspect.signature(reset).parameters:
+    parameters = inspect.signature(reset).parameters
+    if "seed" in parameters:
         reset(seed=seed)
-    elif not hasattr(function, "state_dict"):
+    elif not parameters and not hasattr(function, "state_dict"):
         reset()
 
 

@@ -1,5 +1,6 @@
 """Conversion of models of Stable-Baselines3 to networks of policy files. Needs the extra `train`."""
 
+import contextlib
 from dataclasses import replace
 from typing import Any
 
@@ -33,8 +34,10 @@ def dense_network_from_sb3(
         model: Model of PPO, A2C, SAC, TD3 or DDPG with dense layers only.
         normalization: Normalization of the observations; default: as in the model's environment.
     """
-    where, space, env = type(model).__name__, model.action_space, model.get_env()
-    if env is not None and any(env.env_is_wrapped(NormalizeObservation)):
+    where, space, env, is_normalized = type(model).__name__, model.action_space, model.get_env(), False
+    with contextlib.suppress(OSError, EOFError):  # closed environments in processes
+        is_normalized = env is not None and any(env.env_is_wrapped(NormalizeObservation))
+    if is_normalized:
         raise OptionError(
             f"observations of the {where} model must be normalized by VecNormalize, got NormalizeObservation of "
             "Gymnasium, whose statistics a policy cannot use; train with VecNormalize"

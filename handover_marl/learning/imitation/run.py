@@ -292,12 +292,12 @@ class ImitationRun:
         self._args, self._receiver, self._robot, self._learner = args, receiver, robot, learner
         # Success rate of the best network, and number of updates of the last one that was evaluated.
         self._best_rate, self._n_evaluated = -1.0, 0
-        self._card = {"made by": describe_origin(f"train_{receiver}", args), "dataset": data.name}
+        self._card = {"made by": describe_origin(f"train_{receiver}", args, "workers"), "dataset": data.name}
         if args.resume and (self.folder / CHECKPOINT).exists():
 
             def restore_all(state: dict[str, Any]) -> None:
                 learner.restore(state["training"])
-                self._best_rate, self._n_evaluated = float(state["best"]), int(state["evaluated"])
+                self._best_rate, self._n_evaluated = float(state["best"]), int(state.get("evaluated", 0))
 
             read_checkpoint(self.folder / CHECKPOINT, restore_all)
         self.latest, self._path = self.folder / "latest.npz", self.folder / f"{receiver}.npz"

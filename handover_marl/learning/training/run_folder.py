@@ -38,9 +38,10 @@ def spawn_seeds(count: int, *entropy: int) -> list[int]:
     return [int(seed) for seed in np.random.SeedSequence(entropy).generate_state(count)]
 
 
-def describe_origin(script: str, arguments: object) -> str:
-    """Return "experiments/training/SCRIPT.py name=value, ..." without paths and `resume` of `arguments`."""
-    parts = [f"{key}={value!r}" for key, value in vars(arguments).items() if key not in _UNRECORDED_ARGUMENTS]
+def describe_origin(script: str, arguments: object, *omitted: str) -> str:
+    """Return "experiments/training/SCRIPT.py name=value, ..." without paths, `resume` and the `omitted` arguments."""
+    left_out = (*_UNRECORDED_ARGUMENTS, *omitted)
+    parts = [f"{key}={value!r}" for key, value in vars(arguments).items() if key not in left_out]
     return f"experiments/training/{script}.py {', '.join(parts)}"
 
 
