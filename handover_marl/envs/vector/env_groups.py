@@ -105,7 +105,8 @@ class ThreadedEnvGroup:
 
     def render(self) -> list[Any] | None:
         """Return the RGB image (height, width, 3) of each environment; None unless `render_mode` is "rgb_array"."""
-        images = [image for group in self._groups for image in group.render() or ()]
+        futures = [thread.submit(group.render) for thread, group in zip(self._threads, self._groups, strict=True)]
+        images = [image for future in futures for image in future.result() or ()]
         return images or None
 
     def close(self) -> None:
