@@ -382,9 +382,8 @@ def extend_hand_bases(scene: Scene) -> npt.NDArray[np.float32]:
     """
     if scene.hand_first is None or scene.hand_last is None:
         return scene.hand_dof
-    hand, present = scene.hand_dof.copy(), slice(scene.hand_first, scene.hand_last + 1)
-    hand[: present.start, :BASE_JOINTS] = hand[present.start, :BASE_JOINTS]
-    hand[present.stop :, :BASE_JOINTS] = hand[scene.hand_last, :BASE_JOINTS]
+    hand, last = scene.hand_dof.copy(), min(scene.hand_last, scene.n_frames - 1)
+    hand[:, :BASE_JOINTS] = hand[np.arange(scene.n_frames).clip(min(scene.hand_first, last), last), :BASE_JOINTS]
     return hand
 
 
