@@ -228,8 +228,7 @@ class GraspTracker:
         self.lost_timeout = LOST_TIMEOUT
         self._seen_at = -np.inf
         self.selected: Array | None = None
-        # Costs of the candidates and of the selected grasp, without those of failed grasps.
-        self._predicted_costs, self._selected_cost = self.costs, 0.0
+        self._selected_cost = 0.0
         self._failed: list[tuple[Array, float]] = []
         self._restart()
 
@@ -255,14 +254,6 @@ class GraspTracker:
     def compute_unseen_time(self, time: float) -> float:
         """Return the time from the last view of the object to `time` (s), infinite before the first view."""
         return time - self._seen_at
-
-    def select(self, number: int | None) -> None:
-        """Track the candidate with an index in `grasps` from now on; None for no grasp."""
-        if number is None:
-            self.selected = None
-        elif number or self.selected is None:
-            # The first candidate is the grasp that is tracked already, if there is one.
-            self.selected, self._selected_cost = self.grasps[number], float(self._predicted_costs[number])
 
     def add_failed(self, grasp: Array, until: float) -> None:
         """Increase the cost of a grasp (7,), relative to the object's center, and of its half turn until a time (s)."""
@@ -380,7 +371,6 @@ class GraspTracker:
             self.selected = selected
             candidates = np.concatenate([selected[None], candidates])
             all_costs = np.append(self._selected_cost, all_costs)
-        self._predicted_costs = all_costs.copy()
         self._failed = [(pose, until) for pose, until in self._failed if until > time]
         for pose, _ in self._failed:
             distances = compute_grasp_distances(pose, candidates, _ROTATION_WEIGHT, PAD_DISTANCE)

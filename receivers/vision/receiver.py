@@ -107,7 +107,7 @@ class VisionReceiver(ControllerReceiver):
         selector = self.selector
         for number, until in selector.failed.items():
             tracker.add_failed(selector.grasps[number], until)
-        tracker.select(None if selector.chosen is None else selector.chosen.number)
+        tracker.selected = None if selector.chosen is None else selector.grasps[selector.chosen.number]
         has_no_grasp = bool(selector.failure_reason) or not len(selector.grasps)
         tracker.use_all = has_no_grasp and is_settled
 

@@ -65,22 +65,11 @@ def test_selected_grasp_is_first_and_corrected(monkeypatch: pytest.MonkeyPatch) 
     predictor = FixedPredictor()
     tracker = GraspTracker(predictor, 0)
     tracker.update(0.0, LINK, ITEM, HAND)
-    tracker.select(0)
-    chosen = tracker.grasps[0]
+    chosen = tracker.selected = tracker.grasps[0]
     predictor.grasps = GRASPS + np.array([0.01, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     tracker.update(0.05, LINK, ITEM, HAND)
     np.testing.assert_allclose(tracker.grasps[0][:3], chosen[:3] + np.array([0.005, 0.0, 0.0]), atol=1e-3)
     assert len(tracker.grasps) == 5
-
-
-def test_a_selected_grasp_has_the_cost_of_its_own_prediction() -> None:
-    tracker = GraspTracker(FixedPredictor(), 0)
-    tracker.update(0.0, LINK, ITEM, HAND)
-    # The first candidate; then the second grasp of the network, which comes after the selected one.
-    for time, number, quality in ((0.05, 0, 0.9), (0.1, 2, 0.5), (0.15, 0, 0.5)):
-        tracker.select(number)
-        tracker.update(time, LINK, ITEM, HAND)
-        assert tracker.costs[0] == pytest.approx(-COST_SCALE * np.log(quality), rel=0.05)
 
 
 def test_the_surface_is_registered_nearby_until_the_track_strays(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -91,8 +80,7 @@ def test_the_surface_is_registered_nearby_until_the_track_strays(monkeypatch: py
         tracker.update(0.05 * number, LINK, ITEM + np.array([0.005, 0.0, 0.003]) * max(0, number - 1), HAND)
     moved = transform_points(LINK, np.array([0.03, 0.0, 0.018])) - LINK[:3]
     np.testing.assert_allclose(tracker.object_pose[:3], CENTER + moved, atol=3e-3)
-    tracker.select(0)
-    predictor.center = CENTER + moved + 0.08
+    tracker.selected, predictor.center = tracker.grasps[0], CENTER + moved + 0.08
     tracker.update(0.4, LINK, ITEM, HAND)
     assert tracker.selected is None
     np.testing.assert_allclose(tracker.object_pose[:3], predictor.center, atol=1e-9)
