@@ -66,6 +66,7 @@ def test_the_partners_action_is_not_taken_from_outside(fake_data: Path, agent: s
     assert_equal(env.step({agent: own}), untouched.step({agent: own}))
 
 
+@pytest.mark.slow
 def test_infos_fit_into_vector_environments(fake_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     envs = gymnasium.make_vec("HandoverMARL/Receiver-v0", 2, vectorization_mode="sync", data_dir=fake_data)
     envs.reset(seed=[1, 2])

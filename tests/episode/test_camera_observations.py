@@ -122,6 +122,7 @@ def test_a_combination_has_what_its_parts_have(world: World) -> None:
 # ------------------------------------------------------------------------------------------------ points and images
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("camera_model", [HANDOVERSIM_MODEL, PINHOLE_MODEL])
 def test_clouds_and_images_of_a_frame_agree(world: World, camera_model: str) -> None:
     """Images equal the ray caster's, and points equal those deprojected from depth and segmentation, row by row."""

@@ -16,6 +16,7 @@ from tests.learning.training.scripts import script
 pytest.importorskip("embreex", reason="needs the extra `vision`")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("obs_mode", "has_state"), [("rgb", False), ("state+rgb", True)])
 def test_observations_have_the_names_of_lerobot(obs_mode: str, has_state: bool) -> None:
     env = LeRobotEnv("s0/train", obs_mode=obs_mode, dataset="synthetic", max_cycles=2)

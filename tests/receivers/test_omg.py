@@ -35,6 +35,7 @@ def observe_at(observation: Observation, milliseconds: int) -> Observation:
     return {**observation, "time": np.array([milliseconds / 1000.0], dtype=np.float32)}
 
 
+@pytest.mark.slow
 def test_timing_of_commands(handover_observation: Observation) -> None:
     receiver = make_omg()
     np.testing.assert_array_equal(receiver.act(observe_at(handover_observation, 0)), np.float32(WAITING_JOINTS))
