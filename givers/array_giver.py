@@ -78,7 +78,7 @@ class ArrayGiver(ArrayPolicy, Giver):
 
 
 def is_hand_previewed(observation: Observation) -> AnyArray:
-    """Return whether the hand is in the scene, and still will be at the last preview of the recorded motion, (r,)."""
+    """Return whether the hand is in the scene now and in the last preview of the recorded motion, (r,)."""
     is_recorded = get_namespace(observation["time"]).any(observation["replay_wrist_poses"][:, -1] != 0.0, axis=1)
     return is_recorded & (observation["hand_present"][:, 0] != 0.0)
 

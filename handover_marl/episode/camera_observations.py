@@ -348,9 +348,10 @@ class CameraSensor:
         return image
 
     def _draw_camera(self) -> CameraDraw:
-        """Return the camera of the current episode, made from the seed, its name and the objects' first poses.
+        """Return the camera of the current episode, with errors that are drawn at random for this episode.
 
-        The scene's number would be hidden information, which receivers could read from the camera's errors.
+        The random numbers depend on the seed, the camera's name and the objects' poses at the start. If they depended
+        on the scene's number, receivers could find out this number from the errors.
         """
         if self._episode_camera is None:
             self._episode_camera = CameraDraw(self._camera, self._config.noise, None)

@@ -39,7 +39,7 @@ _GRID_COLUMNS = 3
 # Duration for which a scene without a receiver is shown after the recorded motion.
 _STILL_SCENE_DURATION_MS = 500
 # Fields of both configurations that do not apply to a single scene.
-_SINGLE_SCENE = (*("split", "scenes", "workers", "ray_address", "shard", "out", "overwrite", "replays", "traces"),)
+_SINGLE_SCENE = ("split", "scenes", "workers", "ray_address", "shard", "out", "overwrite", "replays", "traces")
 
 
 def _simulate(

@@ -190,8 +190,7 @@ class ArmServo:
         """
         # Each joint is clipped on its own: with one common factor, a joint that reverses would make
         # the other joints overshoot.
-        limit = self.config.max_acceleration if acceleration is None else acceleration
-        most = limit * self.period
+        most = (self.config.max_acceleration if acceleration is None else acceleration) * self.period
         return np.asarray(self.velocity + np.clip(velocity - self.velocity, -most, most))
 
     def compute_motor_targets(self, joints: Array, velocity: Array, acceleration: float | None = None) -> Array:

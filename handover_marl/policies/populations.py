@@ -225,7 +225,7 @@ class PopulationPolicy(Policy):
 
     @property
     def wait(self) -> float | None:
-        """Time (s) for which the members wait at the start of an episode; None if they wait differently long."""
+        """Time (s) that every member waits at the start of an episode; None if the times of the members differ."""
         waits = {member.wait for member in self.members}
         return waits.pop() if len(waits) == 1 else None
 

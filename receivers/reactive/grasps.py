@@ -238,7 +238,7 @@ def get_validation_record(
 
 
 def has_shipped_record(object_urdf: Path, panda_urdf: Path, known: Array, config: GraspPreparationConfig) -> bool:
-    """Return whether the validation record of an object's grasps ships; see `validate_grasps`."""
+    """Return whether the library contains a validation record of an object's grasps; see `validate_grasps`."""
     path = get_validation_record_path(object_urdf, panda_urdf, known, config)
     return load_validation_record(path.stem) is not None
 

@@ -116,7 +116,7 @@ class FunctionPolicy(ArrayPolicy):
         return policy
 
     def start(self, row: int, seed: int | None) -> None:
-        """Start the episode with index `row`, and call the function's own `reset`, see `reset_function`."""
+        """Start the episode with index `row`, and reset the function by `reset_function`."""
         self.scheme.reset(row)
         if self._features is not None:
             self._features.reset(row)

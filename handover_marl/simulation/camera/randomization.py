@@ -45,7 +45,7 @@ class CameraRandomization(CheckedConfig):
     latency: float = bounded(0.0, 0.0, 1.0)
 
     def combine(self, other: "CameraRandomization") -> "CameraRandomization":
-        """Return the deviations of which each is the larger one of both."""
+        """Return a randomization whose deviations are each the larger one of this and of another randomization."""
         return CameraRandomization(**{name: max(value, vars(other)[name]) for name, value in vars(self).items()})
 
     def draw(self, camera: Pinhole, noise: CameraNoise | None, rng: np.random.Generator) -> "CameraDraw":
