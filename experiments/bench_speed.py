@@ -70,7 +70,7 @@ def measure_processor(args: Args) -> str:
     where: dict[str, Any] = {"data_dir": args.data_dir, "dataset": args.dataset}
     where["control_period"] = args.control_period
     envs: dict[str, HandoverEnv | ParallelVectorEnv] = {
-        physics: HandoverEnv(physics=physics, **where) for physics in list_available_physics()
+        physics: handover_marl.parallel_env(physics=physics, **where) for physics in list_available_physics()
     }
     if args.vector_envs and MUJOCO in envs:
         for name, count in (("threads", 1), ("threads", 2), ("processes", 2)):

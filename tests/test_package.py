@@ -13,7 +13,6 @@ import handover_marl
 from handover_marl import EvaluationConfig, ExecutionConfig, HandoverEnv
 from handover_marl.envs.config import EnvConfig
 from handover_marl.envs.constructors import single_agent_env
-from handover_marl.errors import OptionError
 
 
 def test_public_names_exist_and_have_types() -> None:
@@ -61,10 +60,9 @@ def test_signatures_show_every_option(function: Callable[..., Any], left_out: se
 @pytest.mark.parametrize(
     ("function", "own"),
     [
-        (HandoverEnv, {"config"}),
-        (handover_marl.parallel_env, {"config"}),
-        (handover_marl.env, {"config"}),
-        (single_agent_env, {"agent", "config", "partner", "trust"}),
+        (handover_marl.parallel_env, set()),
+        (handover_marl.env, set()),
+        (single_agent_env, {"agent", "partner", "trust"}),
     ],
 )
 def test_constructors_show_every_field_of_the_configuration(function: Callable[..., Any], own: set[str]) -> None:
@@ -76,8 +74,6 @@ def test_constructors_show_every_field_of_the_configuration(function: Callable[.
 
 def test_a_configuration_stands_alone() -> None:
     config = EnvConfig(dataset="synthetic", scenes=iter([5, 6]))
-    env = handover_marl.parallel_env(config)
+    env = HandoverEnv(config)
     assert env.config == replace(config, setup="s0")
     assert env.scene_ids == config.scenes == (5, 6)
-    with pytest.raises(OptionError, match="not both"):
-        handover_marl.parallel_env(config, split="val")

@@ -127,14 +127,14 @@ class PairArguments(EvaluationConfig):
     initial_joint_noise: Annotated[float, tyro.conf.arg(metavar="RAD")] = 0.0
 
     def __post_init__(self) -> None:
-        """Do nothing: `make_config` checks the values, so that errors are printed without tyro's help text."""
+        """Do nothing: commands check the values, so that errors are printed without tyro's help text."""
 
-    def make_config(self) -> EvaluationConfig:
-        """Return the options as an `EvaluationConfig`; the noise of the joint positions is in its `world_config`."""
+    def get_fields(self) -> dict[str, Any]:
+        """Return the fields of an `EvaluationConfig`; the noise of the joint positions is in its `world_config`."""
         values: dict[str, Any] = {part.name: getattr(self, part.name) for part in fields(EvaluationConfig)}
         if self.initial_joint_noise:
             values["world_config"] = WorldConfig(initial_joint_noise=self.initial_joint_noise)
-        return EvaluationConfig(**values)
+        return values
 
 
 @dataclass(frozen=True)
@@ -168,8 +168,4 @@ class ExecutionArguments(ExecutionConfig):
     """Options that configure workers and output."""
 
     def __post_init__(self) -> None:
-        """Do nothing: `make_config` checks the values."""
-
-    def make_config(self) -> ExecutionConfig:
-        """Return the options as an `ExecutionConfig`, which checks them."""
-        return ExecutionConfig(**{part.name: getattr(self, part.name) for part in fields(self)})
+        """Do nothing: commands check the values."""

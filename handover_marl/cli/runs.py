@@ -27,8 +27,6 @@ from handover_marl.simulation.engines import FAST
 
 _EXECUTION, _VAL_PAIR, _VAL_SCENES = ExecutionArguments(), PairArguments(split="val"), SceneArguments(split="val")
 _STRANGERS, _TABLES = SceneArguments(physics=FAST), TableArguments()
-# Fields of `EvaluationConfig` that do not apply to a single scene, and the receiver, which has an option of its own.
-_SPLIT_FIELDS = {"split", "scenes", "receiver"}
 _Point = Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")]
 _Policies = Annotated[tuple[str, ...], tyro.conf.arg(metavar="POLICY [POLICY ...]")]
 _OptionalPolicies = Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="POLICY [POLICY ...]")]
@@ -40,18 +38,16 @@ def run_benchmark(
     tables: TableArguments = _TABLES,
 ) -> None:
     """Run HandoverSim's official protocol and print its table."""
-    config = execution.make_config()
-    report = benchmark(evaluation.make_config(), execution=config)
-    print_tables(report, tables, _describe_path(config, "report.html"))
+    report = benchmark(**evaluation.get_fields(), **vars(execution))
+    print_tables(report, tables, _describe_path(execution, "report.html"))
 
 
 def run_evaluate_pair(
     evaluation: PairArguments = _VAL_PAIR, execution: ExecutionArguments = _EXECUTION, tables: TableArguments = _TABLES
 ) -> None:
     """Evaluate a giver with a receiver on a split and print the table."""
-    config = execution.make_config()
-    report = evaluate_pair(evaluation.make_config(), execution=config)
-    print_tables(report, tables, _describe_path(config, "report.html"))
+    report = evaluate_pair(**evaluation.get_fields(), **vars(execution))
+    print_tables(report, tables, _describe_path(execution, "report.html"))
 
 
 def run_crossplay(
@@ -67,9 +63,8 @@ def run_crossplay(
         givers: Givers; the first is the baseline to which the rates of the others are compared.
         receivers: Receivers.
     """
-    config = execution.make_config()
-    result = crossplay(givers, receivers, evaluation.make_config(), execution=config)
-    print_tables(result, tables, _describe_path(config, "crossplay.md"))
+    result = crossplay(givers, receivers, **evaluation.get_fields(), **vars(execution))
+    print_tables(result, tables, _describe_path(execution, "crossplay.md"))
 
 
 def run_strangers(
@@ -90,9 +85,9 @@ def run_strangers(
         partners: Families of the population to evaluate with.
         n_scenes: Number of scenes, evenly spaced over the split; a large number takes all.
     """
-    config = execution.make_config()
-    report = strangers(receiver, giver, population, partners, n_scenes, evaluation.make_config(), execution=config)
-    print_tables(report, tables, _describe_path(config, "strangers.md"))
+    options = evaluation.get_fields() | {"receiver": receiver, "giver": giver}
+    report = strangers(population=population, partners=partners, n_scenes=n_scenes, **options, **vars(execution))
+    print_tables(report, tables, _describe_path(execution, "strangers.md"))
 
 
 def run_demonstrate(
@@ -110,9 +105,8 @@ def run_demonstrate(
         keep: Episodes to store: all (with their outcomes), or only those with success.
         fps: Frames per second, 1 to 1000, to record a constant rate; default: every decision, for exact replay.
     """
-    config = execution.make_config()
-    result = demonstrate(evaluation.make_config(), obs_mode=obs_mode, keep=keep, fps=fps, execution=config)
-    print(f"{result}\n\n{_describe_path(config, 'report.html')}", flush=True)
+    result = demonstrate(**evaluation.get_fields(), obs_mode=obs_mode, keep=keep, fps=fps, **vars(execution))
+    print(f"{result}\n\n{_describe_path(execution, 'report.html')}", flush=True)
 
 
 def run_render(
@@ -146,16 +140,15 @@ def run_render(
         target: Point in the world frame at the center of the outside camera's image (m); default: 0.45 -0.2 1.15.
         vertical_fov: Vertical field of view of the outside camera (degrees); default: 54.
     """
-    config = evaluation.make_config()
-    options: Any = {key: value for key, value in vars(config).items() if key not in _SPLIT_FIELDS} | {"trust": trust}
     size, pose = {"width": width, "height": height}, {"position": position, "target": target}
     given = {**size, **pose, "vertical_fov": vertical_fov}
     camera: Any = {name: value for name, value in given.items() if value is not None}
+    options: Any = evaluation.get_fields() | {"receiver": receiver, "progress": progress, "trust": trust}
     # Without these options, each kind of file has its own default camera.
     options |= {"camera": CameraConfig(**camera) if camera else None}
-    options |= {"progress": progress, "view": view, "key_frames": key_frames, "caption": caption}
-    print(render_scene(scene, out, receiver=receiver, **options), flush=True)
+    print(render_scene(scene, out, view=view, key_frames=key_frames, caption=caption, **options), flush=True)
 
 
 def _describe_path(execution: ExecutionConfig, report: str) -> str:
-    return f"Report: {execution.folder / report}" if execution.folder else "Report not saved; add --out DIR."
+    folder = ExecutionConfig(**vars(execution)).folder
+    return f"Report: {folder / report}" if folder else "Report not saved; add --out DIR."

@@ -1,9 +1,7 @@
 """Configuration of the two-agent handover environment."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -70,17 +68,6 @@ class EnvConfig(SceneConfig):
     def control_steps(self) -> int:
         """Physics steps (1 ms) in a control period."""
         return _count_physics_steps(self.control_period)
-
-
-def make_env_config(config: EnvConfig | None, fields: Mapping[str, Any]) -> EnvConfig:
-    """Return `config`, or a configuration made of `fields` if it is None; raise OptionError if both are given."""
-    if config is None:
-        return EnvConfig(**fields)
-    if not isinstance(config, EnvConfig):
-        raise OptionError(f"config must be an EnvConfig, got {config!r}; pass its fields as keywords")
-    if fields:
-        raise OptionError(f"pass either a config or keyword arguments, not both; got config and {', '.join(fields)}")
-    return config
 
 
 def _count_physics_steps(control_period: float) -> int:

@@ -14,30 +14,28 @@ from handover_marl.policies.reference import PolicyLike
 
 
 @forward_signature(EnvConfig)
-def parallel_env(config: EnvConfig | None = None, **fields: Any) -> HandoverEnv:
+def parallel_env(**fields: Any) -> HandoverEnv:
     """Make a PettingZoo parallel environment, in which both agents act at the same time.
 
     Args:
-        config: Configuration; default: one made of `fields`.
-        fields: Fields of `handover_marl.envs.config.EnvConfig`, in place of `config`.
+        fields: Fields of `handover_marl.envs.config.EnvConfig`.
     """
-    return HandoverEnv(config, **fields)
+    return HandoverEnv(EnvConfig(**fields))
 
 
 @forward_signature(EnvConfig)
-def env(config: EnvConfig | None = None, **fields: Any) -> AECEnv:
+def env(**fields: Any) -> AECEnv:
     """Make a PettingZoo AEC environment, in which the agents act in turn, the giver first.
 
     Args:
-        config: Configuration; default: one made of `fields`.
-        fields: Fields of `handover_marl.envs.config.EnvConfig`, in place of `config`.
+        fields: Fields of `handover_marl.envs.config.EnvConfig`.
     """
-    return parallel_to_aec(parallel_env(config, **fields))
+    return parallel_to_aec(parallel_env(**fields))
 
 
 @forward_signature(EnvConfig)
 def single_agent_env(
-    agent: str, partner: PolicyLike | None = None, trust: bool = False, config: EnvConfig | None = None, **fields: Any
+    agent: str, partner: PolicyLike | None = None, trust: bool = False, **fields: Any
 ) -> SingleAgentEnv:
     """Make a Gymnasium environment of one agent, in which a fixed policy acts for the other agent.
 
@@ -47,10 +45,7 @@ def single_agent_env(
         partner: Policy of the other agent, which is not controlled from outside; default: "replay" for
             a giver, "yang2021" for a receiver.
         trust: Whether modules that a policy file or a population names may be imported.
-        config: Configuration; default: one made of `fields`.
-        fields: Fields of `handover_marl.envs.config.EnvConfig`, in place of `config`.
+        fields: Fields of `handover_marl.envs.config.EnvConfig`.
     """
-    controlled: SingleAgentEnv = control_agent(
-        HandoverEnv(config, **fields), agent, partner, api="gymnasium", trust=trust
-    )
+    controlled: SingleAgentEnv = control_agent(parallel_env(**fields), agent, partner, api="gymnasium", trust=trust)
     return controlled

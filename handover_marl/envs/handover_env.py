@@ -18,7 +18,7 @@ from handover_marl.config import TIME_STEP, CameraConfig, WorldConfig
 from handover_marl.datasets import open_dataset
 from handover_marl.datasets.splits import choose_scenes
 from handover_marl.envs.agents import AGENTS, GIVER, RECEIVER
-from handover_marl.envs.config import RENDER_MODES, EnvConfig, make_env_config
+from handover_marl.envs.config import RENDER_MODES, EnvConfig
 from handover_marl.envs.custom_rewards import RewardSource
 from handover_marl.envs.rewards import StepData
 from handover_marl.envs.transition import Transition, TransitionRecorder
@@ -42,7 +42,6 @@ from handover_marl.episode.spaces import (
     receiver_action_space,
 )
 from handover_marl.errors import ActionError, OptionError, ResetNeededError, SceneError
-from handover_marl.execution.options import forward_signature
 from handover_marl.geometry.arrays import ONLY_ROW
 from handover_marl.policies.policy import Action, PolicyContext, make_policy_context
 from handover_marl.simulation.camera.optics import CameraInfo, describe_calibration, make_camera_info
@@ -94,8 +93,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
     Version history: v0, initial.
 
     Args:
-        config: Configuration; default: one made of `fields`.
-        fields: Fields of `handover_marl.envs.config.EnvConfig`, in place of `config`.
+        config: Configuration; `parallel_env` makes it from its arguments.
 
     Attributes:
         config: Configuration, with the resolved setup.
@@ -108,7 +106,6 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
     Raises:
         UnknownNameError: There is no such setup, split, dataset, physics, robot, observation mode,
             renderer or render mode.
-        OptionError: A field is out of range, or both `config` and `fields` are given.
         SceneError: A scene is not in the split.
         DataNotFoundError: The data folder does not exist.
     """
@@ -120,9 +117,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         "is_parallelizable": True,
     }
 
-    @forward_signature(EnvConfig)
-    def __init__(self, config: EnvConfig | None = None, **fields: Any) -> None:
-        config = make_env_config(config, fields)
+    def __init__(self, config: EnvConfig) -> None:
         EzPickle.__init__(self, config)
         self.dataset = open_dataset(config.dataset, config.data_dir, config.robot)
         self.config = config = replace(config, setup=self.dataset.resolve_setup(config.setup))

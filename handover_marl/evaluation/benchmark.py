@@ -11,7 +11,6 @@ from typing import Any, TypeAlias
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from handover_marl.config import OFFICIAL_CONFIG
 from handover_marl.errors import OptionError, ResultsError, check_name
 from handover_marl.evaluation.config import (
     REPLAY,
@@ -38,22 +37,24 @@ MakeWriter: TypeAlias = Callable[[Path, EvaluationConfig], EpisodeWriter]
 _SHARD = re.compile(r"(\d{1,4})/(\d{1,4})")
 
 
-@forward_signature(EvaluationConfig, ExecutionConfig, without=("giver", "world_config", "inference_time"))
+_OTHER_RULES = "use evaluate_pair (pair) for results that are not official"
+
+
+@forward_signature(
+    EvaluationConfig,
+    ExecutionConfig,
+    without={"giver": _OTHER_RULES, "world_config": _OTHER_RULES, "inference_time": _OTHER_RULES},
+)
 def benchmark(
-    setup: str | EvaluationConfig | None = None,
-    split: str = "test",
-    receiver: PolicyLike = "yang2021",
-    execution: ExecutionConfig | None = None,
-    **options: Any,
+    setup: str | None = None, split: str = "test", receiver: PolicyLike = "yang2021", **options: Any
 ) -> Report:
     """Evaluate a receiver by HandoverSim's official protocol.
 
     Args:
-        setup: Official setup, "s0" to "s3", or a setup of other data; or a whole `handover_marl.EvaluationConfig`.
+        setup: Official setup, "s0" to "s3", or a setup of other data; default: the first of the dataset.
         split: "train", "val" or "test".
         receiver: A registered name, with options or a file (`"omg:wait=1.5"`,
             `"learned:policy.npz"`), a class or an instance; see `handover_marl.policies.reference`.
-        execution: Execution settings; or pass its fields as options.
         options: Fields of `handover_marl.EvaluationConfig` and `handover_marl.ExecutionConfig`.
 
     Raises:
@@ -67,45 +68,32 @@ def benchmark(
             simulated time.
         WorkerError: A worker process died; on Ray twice over the same scene.
     """
-    config, execution = build_configs(benchmark, setup, options, execution, split=split, receiver=receiver)
-    if config.world_config != OFFICIAL_CONFIG:
-        raise OptionError("the official benchmark requires the official world and rules; use evaluate_pair for others")
-    if config.giver != REPLAY:
-        raise OptionError(f"the official giver is {REPLAY!r}; use evaluate_pair for others")
-    if config.inference_time is not None:
-        raise OptionError("in the official benchmark the person waits for inference; use evaluate_pair (pair) instead")
+    config, execution = build_configs(options, setup=setup, split=split, receiver=receiver)
     (report,) = run_evaluations([("", config)], execution)
     return report
 
 
 @forward_signature(EvaluationConfig, ExecutionConfig)
 def evaluate_pair(
-    giver: PolicyLike | EvaluationConfig = REPLAY,
+    giver: PolicyLike = REPLAY,
     receiver: PolicyLike = "yang2021",
     setup: str | None = None,
     split: str = "val",
-    execution: ExecutionConfig | None = None,
     **options: Any,
 ) -> Report:
     """Evaluate a giver with a receiver on the scenes of a split, under the official or other rules.
 
     Args:
-        giver: The person's policy, in the same forms as `receiver`; "replay" is the official giver. Or a
-            whole `handover_marl.EvaluationConfig`.
+        giver: The person's policy, in the same forms as `receiver`; "replay" is the official giver.
         receiver: The robot's policy: a registered name, a class or an instance, as for `benchmark`.
         setup: Official setup, "s0" to "s3", or a setup of other data; default: the first of the dataset.
         split: "train", "val" or "test".
-        execution: Execution settings; or pass its fields as options.
         options: Fields of `handover_marl.EvaluationConfig` and `handover_marl.ExecutionConfig`.
 
     Raises:
         HandoverError: The same errors as `benchmark`.
     """
-    whole = giver if isinstance(giver, EvaluationConfig) else None
-    arguments = {"setup": setup} if whole else {"giver": giver}
-    config, execution = build_configs(
-        evaluate_pair, whole or setup, options, execution, split=split, receiver=receiver, **arguments
-    )
+    config, execution = build_configs(options, giver=giver, receiver=receiver, setup=setup, split=split)
     (report,) = run_evaluations([("", config)], execution)
     return report
 

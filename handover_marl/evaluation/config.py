@@ -1,12 +1,10 @@
 """Configuration of evaluations (scenes, policies, simulation) and of their execution.
 
-Public functions and the command line take `EvaluationConfig` and `ExecutionConfig`, either as
-objects or as keyword arguments.
+Public functions and the command line take the fields of `EvaluationConfig` and `ExecutionConfig` as arguments.
 """
 
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from inspect import signature
 from numbers import Integral
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -120,32 +118,12 @@ class ExecutionConfig(PoolConfig):
         return None if self.out is None else Path(self.out)
 
 
-def build_configs(
-    function: Callable[..., Any],
-    evaluation: str | EvaluationConfig | None,
-    options: Any,
-    execution: ExecutionConfig | None = None,
-    **arguments: Any,
-) -> tuple[EvaluationConfig, ExecutionConfig]:
-    """Build the configurations of evaluation and execution from the arguments of a public function.
-
-    Options are fields of both configurations. The argument `evaluation` is a setup or a whole configuration. If it or
-    `execution` is a whole configuration, options with its fields raise `OptionError`, as do other `arguments` that
-    differ from their defaults in `function`.
-    """
-    defaults = signature(function).parameters
-    changed = {key: value for key, value in arguments.items() if key in defaults and value != defaults[key].default}
+def build_configs(options: Mapping[str, Any], **arguments: Any) -> tuple[EvaluationConfig, ExecutionConfig]:
+    """Build the configurations of evaluation and execution from their fields `options` and `arguments`."""
     names = {field.name for field in fields(ExecutionConfig)}
-    execution_options = {key: value for key, value in options.items() if key in names}
-    evaluation_options = {key: value for key, value in options.items() if key not in names}
-    for config, given in ((evaluation, evaluation_options | changed), (execution, execution_options)):
-        if isinstance(config, (EvaluationConfig, ExecutionConfig)) and given:
-            raise OptionError(
-                f"pass either a config or keyword arguments, not both; set {min(given)} in the {type(config).__name__}"
-            )
-    if not isinstance(evaluation, EvaluationConfig):
-        evaluation = EvaluationConfig(setup=evaluation, **(evaluation_options | arguments))
-    return evaluation, execution or ExecutionConfig(**execution_options)
+    given = {**options, **arguments}
+    execution = ExecutionConfig(**{name: value for name, value in given.items() if name in names})
+    return EvaluationConfig(**{name: value for name, value in given.items() if name not in names}), execution
 
 
 def resolve_config(config: EvaluationConfig, trust: bool = False) -> tuple[EvaluationConfig, Dataset]:

@@ -163,13 +163,14 @@ class CrossPlay(TabularResult):
         return [len(sides[0]), *(difference.format("+.1f") for difference in differences)]
 
 
-@forward_signature(EvaluationConfig, ExecutionConfig, without=("giver", "receiver"))
+@forward_signature(
+    EvaluationConfig, ExecutionConfig, without={"giver": "name it in givers", "receiver": "name it in receivers"}
+)
 def crossplay(
     givers: Sequence[PolicyLike] | PolicyLike,
     receivers: Sequence[PolicyLike] | PolicyLike,
-    setup: str | EvaluationConfig | None = None,
+    setup: str | None = None,
     split: str = "val",
-    execution: ExecutionConfig | None = None,
     **options: Any,
 ) -> CrossPlay:
     """Evaluate every giver with every receiver.
@@ -178,19 +179,17 @@ def crossplay(
         givers: Givers, each as for `evaluate_pair`; the first one is the baseline to which the rates of the others are
             compared.
         receivers: Receivers, each as for `benchmark`.
-        setup: Official setup, "s0" to "s3", or one of other data; or a whole `handover_marl.EvaluationConfig`, whose
-            policies are ignored.
+        setup: Official setup, "s0" to "s3", or a setup of other data; default: the first of the dataset.
         split: "train", "val" or "test".
-        execution: Execution settings. The output folder gets a result folder for each pair and
-            `crossplay.md`, `crossplay.csv` and `crossplay.png`.
-        options: Fields of `handover_marl.EvaluationConfig` and `handover_marl.ExecutionConfig`.
+        options: Fields of `handover_marl.EvaluationConfig` and `handover_marl.ExecutionConfig`. The folder `out` gets a
+            result folder for each pair and `crossplay.md`, `crossplay.csv` and `crossplay.png`.
 
     Raises:
         OptionError: No giver or no receiver is given, two different ones have the same label, or
             matplotlib is missing although an output folder is given.
         HandoverError: The same errors as `evaluate_pair`.
     """
-    config, execution = build_configs(crossplay, setup, options, execution, split=split)
+    config, execution = build_configs(options, setup=setup, split=split)
     if execution.folder is not None:
         require_modules("the heat map", "plot", "matplotlib", advice="; or leave out `out`")
     dataset = config.open_dataset()

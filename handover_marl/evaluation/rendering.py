@@ -39,7 +39,7 @@ _GRID_COLUMNS = 3
 # Duration for which a scene without a receiver is shown after the recorded motion.
 _STILL_SCENE_DURATION_MS = 500
 # Fields of both configurations that do not apply to a single scene.
-_SINGLE_SCENE = ("split", "scenes", "workers", "ray_address", "shard", "out", "overwrite", "replays", "traces")
+_SINGLE_SCENE = ("split", "scenes", "workers", "ray_address", "shard", "overwrite", "replays", "traces")
 
 
 def _simulate(
@@ -53,7 +53,7 @@ def _simulate(
     return runner.episode.steps
 
 
-@forward_signature(EvaluationConfig, ExecutionConfig, without=_SINGLE_SCENE)
+@forward_signature(EvaluationConfig, ExecutionConfig, without=dict.fromkeys(_SINGLE_SCENE, "there is one scene"))
 def render_scene(
     scene_id: int,
     out: str | os.PathLike[str],
@@ -105,11 +105,8 @@ def render_scene(
         check_config("camera", camera, CameraConfig)
     check_boolean("caption", caption)
     check_positive_integer("key_frames", key_frames)
-    for name in options:
-        if name in _SINGLE_SCENE:
-            raise OptionError(f"{name} must be left out for one scene, got {options[name]!r}")
     given: Any = {"receiver": receiver or "hold", "giver": giver}
-    config, execution = build_configs(render_scene, options.pop("setup", None), options, **given)
+    config, execution = build_configs(options, **given)
     dataset = config.open_dataset()
     setup = dataset.resolve_setup(config.setup)
     policies: Any = {

@@ -15,6 +15,7 @@ import loky
 import numpy as np
 
 from handover_marl.errors import OptionError, UnknownArgumentError
+from handover_marl.execution.files import shorten_text
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
@@ -23,30 +24,40 @@ _LONGEST_NAME = 255
 
 
 def forward_signature(
-    *sources: Callable[..., Any], without: tuple[str, ...] = (), defaults: Mapping[str, Any] = MappingProxyType({})
+    *sources: Callable[..., Any],
+    without: Mapping[str, str] = MappingProxyType({}),
+    defaults: Mapping[str, Any] = MappingProxyType({}),
 ) -> Callable[[_Function], _Function]:
     """Return a decorator that replaces `**keywords` in a signature by the parameters of functions or dataclasses.
 
-    Help, documentation and editors then list these parameters, without those in `without` and with other `defaults`. A
-    call with another keyword raises an `UnknownArgumentError`.
+    Help, documentation and editors then list these parameters. A call with another keyword raises an
+    `UnknownArgumentError`.
+
+    Args:
+        sources: Functions or dataclasses with the parameters.
+        without: Parameters that are not listed, each with the advice of the `OptionError` that another value than its
+            default raises.
+        defaults: Defaults that replace those of the sources.
     """
 
     def decorate(function: _Function) -> _Function:
         signature = inspect.signature(function)
         own = [part for part in signature.parameters.values() if part.kind is not part.VAR_KEYWORD]
+        parts = {name: part for source in sources for name, part in inspect.signature(source).parameters.items()}
         excluded = {part.name for part in own} | set(without)
         forwarded = [
             part.replace(kind=part.KEYWORD_ONLY, default=defaults.get(part.name, part.default))
-            for source in sources
-            for part in inspect.signature(source).parameters.values()
+            for part in parts.values()
             if part.name not in excluded
         ]
         names = [part.name for part in (*own, *forwarded)]
 
         @functools.wraps(function)
         def check_keywords(*args: Any, **keywords: Any) -> Any:
-            for name in keywords:
-                # The function itself says why it does not accept the others.
+            for name, value in keywords.items():
+                if name in without and value != parts[name].default:
+                    given = f"got {shorten_text(value)}; {without[name]}"
+                    raise OptionError(f"{name} must be left out of {function.__qualname__}(), {given}")
                 if name not in names and name not in without:
                     raise UnknownArgumentError(function.__qualname__, name, names)
             return function(*args, **keywords)

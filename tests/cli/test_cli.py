@@ -32,7 +32,7 @@ from tests.helpers.short_episodes import shorten_episodes
 
 @pytest.mark.parametrize("arguments", [PairArguments, ReceiverArguments, SceneArguments, RenderArguments])
 def test_defaults_of_commands_are_those_of_the_configuration(arguments: type[PairArguments]) -> None:
-    assert arguments().make_config() == EvaluationConfig()
+    assert EvaluationConfig(**arguments().get_fields()) == EvaluationConfig()
 
 
 @pytest.mark.slow

@@ -17,6 +17,7 @@ import tyro
 import handover_marl
 from handover_marl import testing
 from handover_marl.cli import main, program
+from handover_marl.cli.options import PairArguments
 from handover_marl.datasets.splits import choose_scenes, get_prescribed_side, list_split_scenes
 from handover_marl.errors import HandoverError
 from handover_marl.evaluation.config import EvaluationConfig
@@ -136,8 +137,8 @@ def _check_own(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
             raise AssertionError(f"handover-marl {shlex.join(arguments)} is refused") from refusal
     assert (status, len(called)) == (0, 1)
     for option, value in called[0].items():
-        config = value.make_config() if hasattr(value, "make_config") else None
-        if isinstance(config, EvaluationConfig):
+        if isinstance(value, PairArguments):
+            config = EvaluationConfig(**value.get_fields())
             # Other data sets define other setups.
             is_official = config.setup is not None and ":" not in config.dataset
             setup = config.setup if config.setup and is_official else "s0"

@@ -12,7 +12,6 @@ import pytest
 import yaml
 
 import handover_marl
-from handover_marl import EvaluationConfig, ExecutionConfig
 from handover_marl.config import ProtocolConfig, WorldConfig
 from handover_marl.episode.episode import Episode
 from handover_marl.errors import (
@@ -28,35 +27,27 @@ from handover_marl.evaluation.metadata import read_result_metadata
 from handover_marl.evaluation.reports.report import load_report
 from handover_marl.evaluation.results import find_recordings
 from handover_marl.givers import Giver
-from tests.evaluation.quick import HORIZON, SCENES, SHORT, QuickReceiver, run, untimed
+from tests.evaluation.quick import HORIZON, SHORT, QuickReceiver, run, untimed
 
 
 @pytest.mark.slow
-def test_a_config_equals_its_fields_as_options(fake_data: Path, tmp_path: Path) -> None:
-    fields: dict[str, Any] = {"split": "val", "scenes": SCENES, "physics": "fast"}
-    fields |= {"receiver": QuickReceiver, "world_config": SHORT, "data_dir": str(fake_data)}
-    config = EvaluationConfig(**fields)
-    described = handover_marl.evaluate_pair(
-        config, execution=ExecutionConfig(workers=1, progress=False, out=str(tmp_path))
-    )
-    again = run(fake_data, tmp_path)
+def test_options_are_checked_and_stated(fake_data: Path, tmp_path: Path) -> None:
+    first, again = run(fake_data, tmp_path), run(fake_data, tmp_path)
     assert again.n_resumed == 2
-    assert again.metadata == described.metadata
-    assert untimed(again) == untimed(described)
+    assert again.metadata == first.metadata
+    assert untimed(again) == untimed(first)
     noisy = replace(SHORT, initial_joint_noise=0.1)
     assert run(fake_data, world_config=noisy).metadata.world.endswith(" initial_joint_noise=0.1")
     with pytest.raises(ResultsError, match=r"another evaluation .*world"):
         run(fake_data, tmp_path, world_config=noisy)
     official: Any = handover_marl.benchmark
     for call, error, message in (
-        (lambda: handover_marl.evaluate_pair(config, scenes=[9]), OptionError, "pass either a config or keyword arg"),
-        (lambda: handover_marl.evaluate_pair(config, "yang2021x"), OptionError, "set receiver in the EvaluationConfig"),
         (lambda: run(fake_data, tmp_path, shard="1/2", overwrite=True), OptionError, "left out with a shard, got both"),
-        (lambda: official(execution=ExecutionConfig(), workers=1), OptionError, "pass either a config or keyword arg"),
         (lambda: official(colour=[9]), UnknownArgumentError, "unexpected keyword argument 'colour'$"),
         (lambda: official(scene=[9]), UnknownArgumentError, "argument 'scene'; did you mean 'scenes'\\?$"),
-        (lambda: official(config), OptionError, r"official world and rules.*evaluate_pair"),
-        (lambda: official(data_dir=fake_data, giver="noisy"), OptionError, "official giver is 'replay'"),
+        (lambda: official(world_config=SHORT), OptionError, r"world_config must be left out of benchmark\(\).*_pair"),
+        (lambda: official(data_dir=fake_data, giver="noisy"), OptionError, "giver must be left out of benchmark"),
+        (lambda: handover_marl.crossplay("replay", "hold", giver="noisy"), OptionError, "got noisy; name it in givers"),
     ):
         with pytest.raises(error, match=message):
             call()

@@ -90,9 +90,16 @@ def test_reports_state_the_inference_time(folders: dict[float | None, Path], tmp
 def test_official_evaluations_have_no_inference_time(folders: dict[float | None, Path]) -> None:
     with pytest.raises(ResultsError, match=r"another evaluation .*inference time"):
         run(folders[LATE])
+    official: Any = handover_marl.benchmark
     for call, message in (
-        (lambda: handover_marl.benchmark(EvaluationConfig(inference_time=0.0)), "person waits for inference"),
-        (lambda: handover_marl.strangers("hold", inference_time=0.0), "inference_time must be left out for strangers"),
+        (
+            lambda: official(inference_time=0.0),
+            r"inference_time must be left out of benchmark\(\), got 0.0; use evaluate_",
+        ),
+        (
+            lambda: handover_marl.strangers("hold", inference_time=0.0),
+            r"left out of strangers\(\), got 0.0; use crossplay",
+        ),
         (lambda: EvaluationConfig(inference_time=-0.1), "inference_time must be a time from 0 to 10 s"),
         (lambda: EvaluationConfig(inference_time="fast"), "'measured' or None, got fast"),  # type: ignore[arg-type]
     ):

@@ -9,7 +9,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 
 from handover_marl.datasets.dataset import Scene
 from handover_marl.envs.agents import RECEIVER
-from handover_marl.envs.config import EnvConfig, make_env_config
+from handover_marl.envs.config import EnvConfig
 from handover_marl.envs.custom_rewards import resolve_rewards
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.rewards import RewardWeights
@@ -129,7 +129,6 @@ def vector_env(
     backend: str = THREADS,
     device: str = CPU,
     trust: bool = False,
-    config: EnvConfig | None = None,
     **fields: Any,
 ) -> Any:
     """Make many environments, which MuJoCo simulates together on several threads or in several processes.
@@ -166,9 +165,7 @@ def vector_env(
             differ from those of "threads".
         device: Device of the simulation: "cpu", or "cuda" for a GPU with "warp". MuJoCo Warp on "cpu" is for tests.
         trust: Whether modules that a policy file or a population names may be imported.
-        config: Configuration of each environment; default: one made of `fields`.
-        fields: Fields of `handover_marl.envs.config.EnvConfig`, in place of `config`; `physics`
-            defaults to "mujoco".
+        fields: Fields of `handover_marl.envs.config.EnvConfig`; `physics` defaults to "mujoco".
 
     Raises:
         UnknownNameError: There is no such agent, policy, features, scheme, autoreset mode, backend or device.
@@ -197,14 +194,12 @@ def vector_env(
     given: object = wrappers
     if not isinstance(given, Sequence) or isinstance(given, str):
         raise OptionError(f"wrappers must be a list of functions or classes, got {given!r}")
-    if config is None:
-        fields = {"physics": MUJOCO, **fields}
-    chosen = make_env_config(config, fields)
-    if chosen.render_mode == "human":
+    config = EnvConfig(**{"physics": MUJOCO, **fields})
+    if config.render_mode == "human":
         raise OptionError('render_mode must be None or "rgb_array" for several environments, got "human"')
 
     def make_single() -> WrappableEnv:
-        env: WrappableEnv = HandoverEnv(chosen)
+        env: WrappableEnv = HandoverEnv(config)
         for wrapper in wrappers:
             env = _apply_wrapper(wrapper, env)
         if agent is not None:

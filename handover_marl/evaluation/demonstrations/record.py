@@ -49,7 +49,7 @@ MAX_FPS = round(1.0 / TIME_STEP)
 
 @forward_signature(EvaluationConfig, ExecutionConfig)
 def demonstrate(
-    setup: str | EvaluationConfig | None = None,
+    setup: str | None = None,
     split: str = "train",
     receiver: PolicyLike = "reactive",
     giver: PolicyLike = REPLAY,
@@ -57,13 +57,12 @@ def demonstrate(
     obs_mode: str = STATE,
     keep: str = ALL,
     fps: int | None = None,
-    execution: ExecutionConfig | None = None,
     **options: Any,
 ) -> Demonstrations:
     """Record observations and actions of both agents on the scenes of a train split.
 
     Args:
-        setup: Official setup, "s0" to "s3", or a setup of other data; or a whole `handover_marl.EvaluationConfig`.
+        setup: Official setup, "s0" to "s3", or a setup of other data; default: the first of the dataset.
         split: "train"; other splits are not allowed.
         receiver: The policy to record, as for `benchmark`.
         giver: The person's policy, as for `evaluate_pair`.
@@ -72,17 +71,15 @@ def demonstrate(
         keep: Episodes to record: "all", with their outcome, or only those that end in "success".
         fps: Frames per second, 1 to 1000, to record a constant rate; default: every decision of the receiver,
             for exact replay.
-        execution: Execution settings. The output folder gets the episodes, results and a report; an
-            interrupted recording resumes there.
-        options: Fields of `handover_marl.EvaluationConfig` and `handover_marl.ExecutionConfig`.
+        options: Fields of `handover_marl.EvaluationConfig` and `handover_marl.ExecutionConfig`. The folder `out` gets
+            the episodes, results and a report; an interrupted recording resumes there.
 
     Raises:
         OptionError: The split is not the train split, no output folder is given, or `fps` is out of range.
         UnknownNameError: Unknown observation mode or choice of episodes.
         HandoverError: The same errors as `evaluate_pair`.
     """
-    arguments: Any = {"split": split, "receiver": receiver, "giver": giver}
-    config, execution = build_configs(demonstrate, setup, options, execution, **arguments)
+    config, execution = build_configs(options, setup=setup, split=split, receiver=receiver, giver=giver)
     check_name("keep", keep, (ALL, SUCCESS))
     if config.split != "train":
         raise OptionError(

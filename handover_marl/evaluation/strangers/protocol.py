@@ -2,13 +2,12 @@
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from handover_marl.config import OFFICIAL_CONFIG
 from handover_marl.datasets.splits import select_scenes_evenly
 from handover_marl.errors import OptionError, ResultsError
 from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig, build_configs
@@ -26,7 +25,7 @@ from handover_marl.evaluation.strangers.report import (
     read_entry,
     read_report,
 )
-from handover_marl.execution.files import shorten_text, write_atomically
+from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import check_path, forward_signature, require_modules
 from handover_marl.policies.populations import DEFAULT_POPULATION, load_population
 from handover_marl.policies.reference import PolicyLike
@@ -36,16 +35,23 @@ from handover_marl.simulation.engines import FAST
 DEFAULT_N_SCENES = 36
 
 
-@forward_signature(EvaluationConfig, ExecutionConfig, without=("shard",), defaults={"physics": FAST})
+_OTHER_RULES = "use crossplay for other conditions"
+
+
+@forward_signature(
+    EvaluationConfig,
+    ExecutionConfig,
+    without={"world_config": _OTHER_RULES, "inference_time": _OTHER_RULES, "shard": _OTHER_RULES},
+    defaults={"physics": FAST},
+)
 def strangers(
     receiver: Sequence[PolicyLike] | PolicyLike | None = None,
     giver: Sequence[PolicyLike] | PolicyLike | None = None,
     population: str | os.PathLike[str] = DEFAULT_POPULATION,
     partners: str = "test",
     n_scenes: int = DEFAULT_N_SCENES,
-    setup: str | EvaluationConfig | None = None,
+    setup: str | None = None,
     split: str = "test",
-    execution: ExecutionConfig | None = None,
     **options: Any,
 ) -> StrangersReport:
     """Evaluate a receiver, or a giver, with unseen partners from a population.
@@ -57,13 +63,11 @@ def strangers(
         partners: Families of the population to evaluate with: "train", "test" or "all".
         n_scenes: Number of scenes, evenly spaced over the split; all scenes if it has fewer. Ignored if `scenes` is
             given.
-        setup: Official setup, "s0" to "s3", or one of other data; or a whole `handover_marl.EvaluationConfig`, whose
-            policies are ignored.
+        setup: Official setup, "s0" to "s3", or a setup of other data; default: the first of the dataset.
         split: Split of the scenes, "train", "val" or "test".
-        execution: Execution settings. The output folder gets a result folder for each pair, the files of `crossplay`,
-            `strangers.md` and `strangers.json`; an interrupted evaluation resumes there.
         options: Fields of `handover_marl.EvaluationConfig` and `handover_marl.ExecutionConfig`; the default of
-            `physics` is "fast".
+            `physics` is "fast". The folder `out` gets a result folder for each pair, the files of `crossplay`,
+            `strangers.md` and `strangers.json`; an interrupted evaluation resumes there.
 
     Raises:
         OptionError: Not exactly one of receiver and giver is given, two trainings are the same, the world or the rules
@@ -71,16 +75,8 @@ def strangers(
             evaluation.
         HandoverError: The same errors as `crossplay` and `load_population`.
     """
-    if not isinstance(setup, EvaluationConfig):
-        options.setdefault("physics", FAST)
-    config, execution = build_configs(strangers, setup, options, execution, split=split)
-    for name, value, default in (
-        ("world_config", config.world_config, OFFICIAL_CONFIG),
-        ("inference_time", config.inference_time, None),
-        ("shard", execution.shard, None),
-    ):
-        if value != default:
-            raise OptionError(f"{name} must be left out for strangers, got {shorten_text(value)}; use crossplay")
+    options = {"physics": FAST, **options, "setup": setup, "split": split}
+    config, execution = build_configs(options)
     policies = giver if receiver is None else receiver
     if policies is None or (receiver is not None and giver is not None):
         raise OptionError("pass exactly one of receiver and giver; the population has partners for both")
@@ -90,7 +86,7 @@ def strangers(
     dataset = config.open_dataset()
     if config.scenes is None:
         scenes = dataset.list_scenes(dataset.resolve_setup(config.setup), config.split)
-        config = replace(config, scenes=select_scenes_evenly(scenes, n_scenes))
+        options["scenes"] = select_scenes_evenly(scenes, n_scenes)
     folder = execution.folder
     if folder is not None and not execution.overwrite and (folder / ENTRY_FILE).is_file():
         stored = read_entry(folder)
@@ -103,7 +99,7 @@ def strangers(
     if len({policy.code_hash for policy in trainings}) < len(trainings):
         raise OptionError(f"{agent} must name different policies, got two with the same code and weights; drop one")
     givers, receivers = (trainings, others) if agent == "giver" else (others, trainings)
-    result = crossplay(givers, receivers, config, execution=execution)
+    result = crossplay(givers, receivers, **options)
     report = make_report(result, found, partners, agent)
     if folder is not None:
         report.write(folder)
