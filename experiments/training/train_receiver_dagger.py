@@ -24,7 +24,6 @@ from torch import nn
 
 import handover_marl
 from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP
-from handover_marl.envs.vector.policy_batches import make_policy_batch
 from handover_marl.episode.observations import Observation
 from handover_marl.errors import OptionError
 from handover_marl.learning.action_scheme import InvertibleScheme
@@ -42,6 +41,7 @@ from handover_marl.learning.training.run_folder import (
     validate,
 )
 from handover_marl.learning.training.scene_arguments import SetupArgs, run_script
+from handover_marl.policies.batch import make_policy_batch
 from handover_marl.policies.policy import make_policy_context
 from handover_marl.policies.reference import parse_policy
 

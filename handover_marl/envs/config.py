@@ -7,7 +7,7 @@ import numpy as np
 
 from handover_marl.config import MAX_CONTROL_PERIOD, TIME_STEP, CameraConfig, WorldConfig, check_config
 from handover_marl.envs.custom_rewards import RewardLike, resolve_rewards
-from handover_marl.episode.episode import SceneConfig
+from handover_marl.episode.scene_config import SceneConfig
 from handover_marl.episode.spaces import STATE, has_camera
 from handover_marl.errors import OptionError, check_name
 from handover_marl.execution.options import check_positive_integer

@@ -12,8 +12,8 @@ from typing import Any, Final, Literal
 from handover_marl.config import WorldConfig, check_config
 from handover_marl.datasets import Dataset, open_dataset
 from handover_marl.datasets.splits import SPLITS, choose_scenes
-from handover_marl.episode.episode import SceneConfig
 from handover_marl.episode.loop import MEASURED, InferenceTime
+from handover_marl.episode.scene_config import SceneConfig
 from handover_marl.episode.spaces import has_camera
 from handover_marl.errors import OptionError, check_name
 from handover_marl.execution.files import shorten_text

@@ -72,7 +72,10 @@ class ArmInWorld:
         return np.concatenate([rotation @ local[:3], rotation @ local[3:]])
 
     def compute_point_jacobian(self, joints: Array, point: Array, link: int) -> Array:
-        """Return the world-frame Jacobian (3, 7) at joints (7,) of a point (3,) on arm link 0-6 or 7, the hand link."""
+        """Return the Jacobian (3, 7) in the world frame of a point (3,) in m in the world, at joints (7,) in rad.
+
+        The point is on the arm's link number `link`: 0 to 6, or 7 for the hand link.
+        """
         chain = self.arm.compute_chain_frames(joints[None])
         rotation = self._world_from_base_rotation
         axes = chain.rotations[:-1, :, 2, 0] @ rotation.T

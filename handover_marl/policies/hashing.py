@@ -64,7 +64,8 @@ def hash_package(name: str) -> str:
     """Return the version of a top-level package that is installed, or a hash of the Python files of another package.
 
     For a module outside a package, the hash covers its file, and the modules and packages in the same folder that it
-    imports, directly or not. For the standard library it is a version or empty; code without a file gets a random hash.
+    imports, directly or not. A package of the standard library has its `__version__`, or "" if it has none; code
+    without a file gets a random hash.
     """
     package, folders = sys.modules.get(name), _find_folders(name)
     if _is_installed(name):

@@ -16,7 +16,6 @@ import handover_marl
 from handover_marl import givers
 from handover_marl.config import WorldConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.envs.vector.policy_batches import make_policy_batch
 from handover_marl.errors import ActionError, DataFormatError, HandoverError, OptionError
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, to_numpy
 from handover_marl.learning.adapters.function_policy import LearnedPolicy
@@ -31,7 +30,7 @@ from handover_marl.learning.policy_files import (
     read_policy,
     write_policy,
 )
-from handover_marl.policies.batch import ArrayPolicyBatch
+from handover_marl.policies.batch import ArrayPolicyBatch, make_policy_batch
 from handover_marl.policies.reference import parse_policy
 from tests.helpers.tensors import make_device_tensors, make_observe_function
 from tests.learning.array_encodings import CONTEXT, COUNT, ROWS, SCHEMES, draw_observation, select

@@ -50,7 +50,7 @@ _GRID = 2.0**-23
 # Constants of scenes of the family `hard`. Duration of the motion (s).
 _DURATION = 8.0
 # Smallest and largest distance of the handover position from the robot's shoulder, and smallest height above the
-#: table (m).
+# table (m).
 _REACH, _MIN_HEIGHT = (0.70, 0.82), 0.12
 #: Largest speed of the object's origin (m/s).
 MAX_SPEED = 0.30

@@ -126,7 +126,7 @@ def _make_polygons(m: int, n: int) -> tuple[Faces, Faces, Faces]:
 
 
 def read_solid(urdf: Path) -> "Solid":
-    """Read the convex parts of an object from the collision mesh beside its URDF, which has HandoverSim's file name."""
+    """Read the convex parts of an object from its collision mesh, the file `COLLISION_NAME` beside its URDF."""
     mesh = read_obj(urdf.with_name(COLLISION_NAME))
     return Solid(_make_hull(mesh.vertices[np.unique(faces)]) for faces in mesh.groups)
 

@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium.vector.utils import concatenate, create_empty_array
 from loky.backend import get_context
 
-from handover_marl.envs.vector.batch import EnvGroup, EnvResult, merge_results, select_rows
+from handover_marl.envs.vector.env_result import EnvGroup, EnvResult, merge_results, select_rows
 from handover_marl.envs.wrappers.wrapper import ByAgent, WrappableEnv
 from handover_marl.errors import WorkerError
 from handover_marl.execution.tasks import convert_error, pickle_by_value, unpickle

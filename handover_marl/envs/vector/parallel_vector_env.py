@@ -11,7 +11,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from handover_marl.envs.vector.batch import (
+from handover_marl.envs.vector.env_result import (
     EnvGroup,
     EnvResult,
     check_action_array,

@@ -13,7 +13,7 @@ from handover_marl.envs.config import EnvConfig
 from handover_marl.envs.custom_rewards import RewardSource
 from handover_marl.envs.rewards import StepData
 from handover_marl.envs.transition import Transition, TransitionRecorder
-from handover_marl.envs.vector.batch import select_rows
+from handover_marl.envs.vector.env_result import select_rows
 from handover_marl.envs.wrappers.wrapper import REWARD_PREFIX
 from handover_marl.episode.episode_batch import EpisodeBatch
 from handover_marl.episode.observations import Observation

@@ -13,9 +13,9 @@ from handover_marl.envs.config import EnvConfig
 from handover_marl.envs.custom_rewards import resolve_rewards
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.rewards import RewardWeights
-from handover_marl.envs.vector.array_envs import BatchedEnvGroup
-from handover_marl.envs.vector.batch import EnvGroup
+from handover_marl.envs.vector.batched_envs import BatchedEnvGroup
 from handover_marl.envs.vector.env_groups import ProcessEnvGroup, SequentialEnvGroup, ThreadedEnvGroup
+from handover_marl.envs.vector.env_result import EnvGroup
 from handover_marl.envs.vector.parallel_vector_env import ParallelVectorEnv
 from handover_marl.envs.wrappers.control_agent import FixedPartnerEnv, control_agent
 from handover_marl.envs.wrappers.encode import EncodedEnv, encode

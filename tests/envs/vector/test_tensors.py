@@ -19,7 +19,7 @@ from handover_marl.config import PhysicsConfig, ProtocolConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.envs.custom_rewards import combine_rewards
 from handover_marl.envs.transition import Transition
-from handover_marl.envs.vector.batch import check_action_array
+from handover_marl.envs.vector.env_result import check_action_array
 from handover_marl.episode import episode_batch
 from handover_marl.errors import ActionError
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, make_tensor_factory, to_numpy

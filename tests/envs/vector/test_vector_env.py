@@ -14,7 +14,7 @@ import pytest
 
 import handover_marl
 from handover_marl.config import WorldConfig
-from handover_marl.envs.vector.array_envs import EncodedEpisodeBatch
+from handover_marl.envs.vector.batched_envs import EncodedEpisodeBatch
 from handover_marl.envs.vector.vector_env import HandoverVectorEnv
 from handover_marl.envs.wrappers.control_agent import control_agent
 from handover_marl.envs.wrappers.wrapper import SingleAgentEnv

@@ -154,7 +154,8 @@ class BodyClouds(NamedTuple):
 def collect_clouds(network: SegmentationNetwork, views: SegmentationViews, rng: Rng) -> BodyClouds | None:
     """Return the clouds of the views in which the network finds enough pixels of object or hand; None if there is none.
 
-    The depths of a view give points in the hand link's frame, and their heights the direction of the world's z axis.
+    The depths of a view give points in the hand link's frame. The direction of the world's z axis in this frame is
+    fitted to the heights of these points, which the view stores.
     """
     rows = []
     for image in zip(*views, strict=True):

@@ -138,7 +138,7 @@ def load_scene_model(assets: SceneAssets, config: PhysicsConfig, padding: ModelP
     Args:
         assets: Model files of the scene.
         config: Constants of the world.
-        padding: Sizes to which the model is padded; the indices are those of the scene's own objects.
+        padding: Sizes to which the model is padded; the indices in the result leave out the added objects.
     """
     friction = read_object_friction(assets.objects[0])
     workcell = (assets.table, assets.panda), friction, config

@@ -9,10 +9,15 @@ import pytest
 
 from handover_marl.config import WorldConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.envs.vector.policy_batches import PopulationBatch, make_policy_batch
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, is_tensor, to_numpy
-from handover_marl.policies.batch import ArrayPolicyBatch, PolicyBatch, SequentialPolicyBatch
+from handover_marl.policies.batch import (
+    ArrayPolicyBatch,
+    PolicyBatch,
+    PopulationBatch,
+    SequentialPolicyBatch,
+    make_policy_batch,
+)
 from handover_marl.policies.policy import Giver
 from handover_marl.policies.reference import parse_policy
 from tests.evaluation.strangers.populations import write_population

@@ -11,8 +11,7 @@ from gymnasium.utils import seeding
 from handover_marl.datasets.dataset import Scene
 from handover_marl.envs.agents import GIVER, RECEIVER
 from handover_marl.envs.handover_env import HandoverEnv, draw_seeds
-from handover_marl.envs.vector.batch import EnvResult
-from handover_marl.envs.vector.policy_batches import make_policy_batch
+from handover_marl.envs.vector.env_result import EnvResult
 from handover_marl.envs.vector.reward_sums import RewardSums
 from handover_marl.envs.wrappers.control_agent import FixedPartnerEnv
 from handover_marl.envs.wrappers.encode import MAX_EPISODES_WITHOUT_OUTPUTS, EncodedEnv, make_no_outputs_error
@@ -29,7 +28,7 @@ from handover_marl.learning.array_features import ArrayFeatures
 from handover_marl.learning.encodings import make_array_features, make_array_scheme
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
 from handover_marl.learning.policy_files import OBSERVATION
-from handover_marl.policies.batch import PolicyBatch
+from handover_marl.policies.batch import PolicyBatch, make_policy_batch
 from handover_marl.simulation.engines import BatchBackend
 
 _NONE = -1
