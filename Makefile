@@ -61,9 +61,10 @@ types: $(VENV)/.tested-with
 
 check: lint types
 
-# These libraries have their own pins, see constraints-loops.txt. Learning uses one thread.
+# These libraries have their own pins, see constraints-loops.txt. Learning uses one thread. Ray starts a cluster of its
+# own, so that other tests may run at the same time.
 loops: $(LOOPS)/.installed
-	OMP_NUM_THREADS=1 $(LOOPS)/bin/python -m pytest -p no:xdist -k "loops or supersuit or rl_libraries" \
+	RAY_ADDRESS=local OMP_NUM_THREADS=1 $(LOOPS)/bin/python -m pytest -p no:xdist -k "loops or supersuit or rl_libraries" \
 		tests/learning/training/test_loops.py tests/envs/test_wrappers.py tests/docs/test_blocks.py
 
 # Packages of which both environments have the same version are not installed twice: the path of the second one ends with
