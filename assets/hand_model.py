@@ -161,10 +161,10 @@ def scale_hand(size: HandSize, side: Side) -> HandGeometry:
         side=side,
         size=size,
         scale=scale,
-        palm_offset=_round_to_micrometres(np.array(_DIMENSIONS["palm_offset"]) * stretch),
-        joint_origins=_round_to_micrometres(np.vstack([bones[name][0] for name in DIGIT_ORDER]) * stretch),
-        tips=_round_to_micrometres(np.vstack([bones[name][1] for name in DIGIT_ORDER]) * stretch),
-        radii=_round_to_micrometres(radii * across),
+        palm_offset=_round_to_micrometers(np.array(_DIMENSIONS["palm_offset"]) * stretch),
+        joint_origins=_round_to_micrometers(np.vstack([bones[name][0] for name in DIGIT_ORDER]) * stretch),
+        tips=_round_to_micrometers(np.vstack([bones[name][1] for name in DIGIT_ORDER]) * stretch),
+        radii=_round_to_micrometers(radii * across),
     )
 
 
@@ -179,7 +179,7 @@ def find_hand_urdf(subject: int, side: Side) -> Path:
     return HANDS_FOLDER / f"synthetic-subject-{subject:02d}_{side}" / "mano.urdf"
 
 
-def _round_to_micrometres(values: FloatArray) -> FloatArray:
+def _round_to_micrometers(values: FloatArray) -> FloatArray:
     # As in the model files; adding zero turns -0.0 into 0.0.
     return np.round(values, 6) + 0.0
 

@@ -1,4 +1,4 @@
-"""Givers that replay the recording, exactly or with variations that the robot's behaviour does not trigger."""
+"""Givers that replay the recording, exactly or with variations that the robot's behavior does not trigger."""
 
 import functools
 import hashlib

@@ -59,7 +59,7 @@ class YangConfig(CheckedConfig):
         max_candidates: Maximum number of grasps that are checked for reachability.
         region_width: Half width of the region around the line from standoff to grasp in which the hand link moves
             straight to the grasp, for a line of length 0 (m).
-        region_slope: Relative increase of this half width per metre of the line's length (1/m).
+        region_slope: Relative increase of this half width per meter of the line's length (1/m).
         region_max_width: Maximum half width of the region around the line (m).
         angle_tolerance: Maximum rotation error of the hand link in the region and at the grasp (rad).
         step_length: Length of a step from standoff to grasp (m).

@@ -1,8 +1,8 @@
-"""Rewards that prefer a behaviour of the giver, for the learned givers of the population `strangers-v1`.
+"""Rewards that prefer a behavior of the giver, for the learned givers of the population `strangers-v1`.
 
     python experiments/training/train_ppo.py --agent giver --rewards experiments.strangers.giver_rewards:TURNING
 
-Each reward weights events of the handover, as the behaviour-preferring rewards of ZSC-Eval (Wang et al.,
+Each reward weights events of the handover, as the behavior-preferring rewards of ZSC-Eval (Wang et al.,
 NeurIPS 2024). The preference counts only in episodes that succeed, so that robots can take objects from the givers.
 """
 

@@ -4,7 +4,7 @@ The script needs the extras `train` and `vision`.
 
     python experiments/training/train_segmentation.py --data-dir DIR --out runs/segmentation
 
-The script renders randomised images of a training split and trains the network to segment object, person's hand and
+The script renders randomized images of a training split and trains the network to segment object, person's hand and
 other objects; then it trains the part that separates the points of the object and the hand. It prints the
 intersections over union on held-out scenes of the split, every tenth. The folder gets the images, `pixels.npz` after
 the first training, and `segmentation.npz` (`--receiver vision:masks=runs/segmentation/segmentation.npz`). A network

@@ -131,7 +131,7 @@ def run_render(
         scene: Number of the scene in its data set.
         out: Output file: .png for a grid of key frames, .gif or .mp4 for a video, .html for a 3D replay.
         receiver: The robot's policy; default: the robot stays at rest.
-        view: outside, or wrist for colours, depth and segmentation of the wrist camera below it.
+        view: outside, or wrist for colors, depth and segmentation of the wrist camera below it.
         key_frames: Number of key frames of a .png.
         caption: Show the time and the state of the episode (released, contact, goal reached) in images and videos.
         width: Width of an image in pixels.

@@ -294,7 +294,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         return {camera.name: make_camera_info(camera) for camera in self.config.sensors.cameras}
 
     def capture_wrist_camera(self) -> CameraCapture:
-        """Return depth, segmentation, colours and point clouds of the wrist camera.
+        """Return depth, segmentation, colors and point clouds of the wrist camera.
 
         Raises:
             UnknownNameError: There is no camera of the name "wrist".

@@ -56,7 +56,7 @@ _NOISE_STREAM = 2
 
 
 class _ImageContent(IntEnum):
-    """Content of an image: target object and hand; all objects and hand; all bodies; all bodies with colours."""
+    """Content of an image: target object and hand; all objects and hand; all bodies; all bodies with colors."""
 
     TARGETS = 0
     OBJECTS = 1
@@ -82,7 +82,7 @@ def camera_observation_space(
     | scene_pointcloud | wrist_point_counts | (3,) float32 | number of pixels on target, hand and other objects |
     | depth | wrist_depth | (224, 224, 1) float32 | depth along the viewing axis, m |
     | segmentation | wrist_segmentation | (224, 224, 1) uint8 | values of `SegmentationLabel` |
-    | rgb | wrist_rgb | (224, 224, 3) uint8 | colours |
+    | rgb | wrist_rgb | (224, 224, 3) uint8 | colors |
     | full_pointcloud | wrist_object_cloud | (50176, 3) float32 | all points of the object, in image order |
     | full_pointcloud | wrist_hand_cloud | (50176, 3) float32 | all points of the human hand, in image order |
     | full_pointcloud | wrist_point_counts | (2,) float32 | number of pixels on object and hand |
@@ -204,7 +204,7 @@ class CameraCapture:
     Attributes:
         depth: (h, w) float32 depth along the viewing axis (m); just under 2 m for background.
         segmentation: (h, w) uint8 values of `SegmentationLabel`.
-        rgb: (h, w, 3) uint8 colours.
+        rgb: (h, w, 3) uint8 colors.
         object_points: (n, 3) float32 points of the handed-over object in the hand link's frame (m), in image order.
         hand_points: (m, 3) float32 points of the human hand in the hand link's frame (m), in image order.
     """
@@ -393,7 +393,7 @@ class CameraSensor:
 
 
 def _select_content(parts: frozenset[str]) -> _ImageContent:
-    """Return which bodies an image must show for the parts of an observation mode, and whether in colours."""
+    """Return which bodies an image must show for the parts of an observation mode, and whether in colors."""
     if RGB in parts:
         return _ImageContent.COLORED
     if parts & {*IMAGES, POINT_MAP}:

@@ -76,7 +76,7 @@ def render_scene(
         giver: The person's policy, as in `evaluate_pair`.
         key_frames: Number of images of a `.png`, evenly spaced from start to end of the episode.
         camera: Pose and image size of the outside camera.
-        view: "outside", or "wrist" for the outside image above colours, depth and segmentation of the wrist camera.
+        view: "outside", or "wrist" for the outside image above colors, depth and segmentation of the wrist camera.
         caption: Whether images and videos show the simulated time and the state of the episode:
             "object touched", "released", "contact", "drop", "timeout" or "goal reached".
         options: `setup`, whose weights some policies take, `dataset`, `data_dir`, `physics`, `robot`, `renderer`,

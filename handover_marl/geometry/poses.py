@@ -1,7 +1,7 @@
 """Rigid poses as arrays (..., 7): position xyz (m) and quaternion xyzw.
 
 A pose `a_from_b` maps coordinates in frame b to coordinates in frame a. Arrays are neither
-normalised nor cast: results of float32 arrays are float32, of mixed arrays float64, because the
+normalized nor cast: results of float32 arrays are float32, of mixed arrays float64, because the
 outcome of an episode can depend on the last bit.
 
 Functions whose arguments are `AnyArray` also take PyTorch tensors, and return tensors on the same device.

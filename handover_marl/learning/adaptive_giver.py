@@ -189,7 +189,7 @@ class AdaptiveConfig(CheckedConfig):
         patience: Time without an approach after which the giver varies its handover pose (s).
         offers: Number of random offers of which the best is chosen; the first has the recorded handover pose.
         spread: Standard deviation of the random offers, relative to the bounds of `HandoverPoseScheme`.
-        reach_cost: Reduction of an offer's score (0 to 1) for each metre that the person reaches farther than in the
+        reach_cost: Reduction of an offer's score (0 to 1) for each meter that the person reaches farther than in the
             recording (1/m).
     """
 

@@ -1,6 +1,6 @@
 """Feature vectors for small networks, computed from observations of many episodes at once.
 
-Positions are scaled to decimetres, or as a class states, and expressed in the frame of the planned handover or of the
+Positions are scaled to decimeters, or as a class states, and expressed in the frame of the planned handover or of the
 gripper, so that the components are of order one and independent of the world frame. Features do not depend on the other
 episodes.
 """

@@ -25,7 +25,7 @@ Array = npt.NDArray[np.float64]
 
 #: Distance of a robot point from an object's surface below which it has a cost (m).
 OBJECT_PADDING = 0.2
-# The same for the person's hand (m), the cost of a goal per metre by which its clearance is below that distance, and
+# The same for the person's hand (m), the cost of a goal per meter by which its clearance is below that distance, and
 # the cell size of the hand's distance field (m).
 _HAND_PADDING, _CLEARANCE_COST, _HAND_CELL = 0.1, 10.0, 0.01
 

@@ -1,6 +1,6 @@
 """Clearances of the Panda's gripper and arm (elbow to wrist), for many configurations at once.
 
-The gripper is modelled as boxes, elbow to wrist as capsules, and everything else as spheres. Lengths are in metres,
+The gripper is modelled as boxes, elbow to wrist as capsules, and everything else as spheres. Lengths are in meters,
 poses are position and quaternion xyzw, and a negative clearance is the penetration depth.
 """
 

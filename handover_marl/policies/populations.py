@@ -44,10 +44,10 @@ class Partner:
 
     Attributes:
         name: Unique name in the population.
-        family: Behaviour that the partner shares with others; a family is in one split only.
+        family: Behavior that the partner shares with others; a family is in one split only.
         split: "train" or "test".
         policy: Policy with its options, as for `handover_marl.evaluate_pair`; may contain `{folder}`.
-        description: One sentence on the behaviour.
+        description: One sentence on the behavior.
     """
 
     name: str

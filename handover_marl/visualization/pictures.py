@@ -156,7 +156,7 @@ def encode_video(frames: list[Picture], suffix: str) -> bytes:
 
 
 def draw_wrist_view(episode: Episode, camera: CameraConfig) -> Picture:
-    """Return an RGB image (h, w, 3) uint8: an outside view above colours, depth and segmentation of the wrist camera.
+    """Return an RGB image (h, w, 3) uint8: an outside view above colors, depth and segmentation of the wrist camera.
 
     The depth is brighter the nearer it is, and black from 2 m on. `camera` is the outside camera.
     """

@@ -1,4 +1,4 @@
-"""Configuration of the receiver `reactive`, in metres, radians and seconds."""
+"""Configuration of the receiver `reactive`, in meters, radians and seconds."""
 
 import math
 from dataclasses import dataclass, field, replace

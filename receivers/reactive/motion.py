@@ -32,7 +32,7 @@ _STRAIGHT_MARGIN, _STRAIGHT_LATERAL, _STRAIGHT_ROTATION = 0.05, 0.06, 0.5
 # Region around the selected grasp in which no other is selected (m, m, rad), and lateral distance within which, at less
 # than half of that axial distance, the object is between the fingers (m): the gripper then does not go back to align.
 _COMMIT_DISTANCE, _COMMIT_LATERAL, _COMMIT_ROTATION, _ENCLOSED_LATERAL = 0.06, 0.03, 0.3, 0.015
-# Increase of the lateral and rotation tolerances per axial metre before the grasp (1, rad/m).
+# Increase of the lateral and rotation tolerances per axial meter before the grasp (1, rad/m).
 _LATERAL_FUNNEL, _ROTATION_FUNNEL = 0.3, 1.0
 # Gain on the remaining joint error (1/s), maximum joint speed in addition to the one that follows the object (rad/s),
 # and maximum change of the seed of inverse kinematics towards the selected configuration (rad).

@@ -39,7 +39,7 @@ _MAX_OBJECT_RADIUS = 0.2
 # margin for errors of the camera's pose; points in it show the robot.
 _FINGER_LOWER, _FINGER_UPPER = (-0.02, 0.037, 0.0), (0.02, 0.075, 0.12)
 
-#: Function that labels pixels (h, w) by their colours (h, w, 3), depth (h, w) and points in the world (h, w, 3), and by
+#: Function that labels pixels (h, w) by their colors (h, w, 3), depth (h, w) and points in the world (h, w, 3), and by
 #: the hand link's position (3,), in m.
 MaskPredictor = Callable[
     [npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any]], npt.NDArray[np.uint8]

@@ -167,7 +167,7 @@ def test_camera_pose_equals_handoversims() -> None:
 
 
 GRASPABLE = tuple(name for name in CLASS_NAMES.values() if name not in CLASSES_WITHOUT_GRASPS)
-# Bullet adds a margin of about a millimetre to both shapes of a pair.
+# Bullet adds a margin of about a millimeter to both shapes of a pair.
 MOST_OVERLAP, MARGINS = 0.008, 0.002
 DIGIT_LINKS = [range(7 + 9 * digit, 16 + 9 * digit) for digit in range(5)]
 

@@ -1,4 +1,4 @@
-"""Tests of environments whose receiver observes point clouds or images, and of the randomisation of cameras."""
+"""Tests of environments whose receiver observes point clouds or images, and of the randomization of cameras."""
 
 from dataclasses import replace
 from typing import Any
@@ -160,7 +160,7 @@ def test_draws_depend_on_the_seed_of_the_environment_only(renderer: str) -> None
 
 
 @pytest.mark.slow
-def test_no_randomisation_is_the_default() -> None:
+def test_no_randomization_is_the_default() -> None:
     assert_equal(observe(2, CameraRandomization()), observe(2, None))
 
 

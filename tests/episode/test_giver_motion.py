@@ -228,7 +228,7 @@ def test_how_steps_are_cut_does_not_matter(rate: float) -> None:
         assert seen(whole) == seen(cut)
 
 
-def test_the_object_is_picked_up_beyond_five_millimetres() -> None:
+def test_the_object_is_picked_up_beyond_five_millimeters() -> None:
     dof = np.zeros((4, 1, 6), dtype=np.float32)
     for path, expected in (([0, 4, 6, 8], 2), ([0, 6, 0, 0], 1), ([0, 4, 5, 4], NEVER), ([0, -6, 0, 0], 1)):
         moved = dof.copy()
@@ -296,7 +296,7 @@ def test_speed_and_acceleration_are_limited(targets: list[tuple[tuple[float, flo
     values = np.concatenate([np.zeros((2, 3)), track(*targets)])
     velocity = np.diff(values, axis=0) / TIME_STEP
     assert np.linalg.norm(velocity, axis=1).max(initial=0.0) <= SPEED + 1e-9
-    # On arrival, the value is set to the goal, a change of less than a micrometre.
+    # On arrival, the value is set to the goal, a change of less than a micrometer.
     acceleration = np.linalg.norm(np.diff(velocity, axis=0), axis=1) / TIME_STEP
     assert acceleration.max(initial=0.0) <= ACCELERATION + 1.1
 

@@ -43,7 +43,7 @@ def test_options_are_checked_and_stated(fake_data: Path, tmp_path: Path) -> None
     official: Any = handover_marl.benchmark
     for call, error, message in (
         (lambda: run(fake_data, tmp_path, shard="1/2", overwrite=True), OptionError, "left out with a shard, got both"),
-        (lambda: official(colour=[9]), UnknownArgumentError, "unexpected keyword argument 'colour'$"),
+        (lambda: official(color=[9]), UnknownArgumentError, "unexpected keyword argument 'color'$"),
         (lambda: official(scene=[9]), UnknownArgumentError, "argument 'scene'; did you mean 'scenes'\\?$"),
         (lambda: official(world_config=SHORT), OptionError, r"world_config must be left out of benchmark\(\).*_pair"),
         (lambda: official(data_dir=fake_data, giver="noisy"), OptionError, "giver must be left out of benchmark"),

@@ -29,7 +29,7 @@ def test_distances_and_gradients_of_a_ball() -> None:
     np.testing.assert_array_equal(BALL.compute_distances(points.T.astype(np.float32)), distances)
     far = lengths > 0.02
     np.testing.assert_allclose(slopes.T[far], (points / lengths[:, None])[far], atol=0.15)
-    # Gradients are derivatives at the centres of cells; they jump at the faces.
+    # Gradients are derivatives at the centers of cells; they jump at the faces.
     points, small = (np.floor((points + REACH) / CELL) + 0.5) * CELL - REACH, 1e-3
     _, slopes = BALL.compute_distances_and_gradients(points.T.astype(np.float32))
     for axis in range(3):

@@ -1,4 +1,4 @@
-"""Tests of the visual meshes of URDF models, and of their colours."""
+"""Tests of the visual meshes of URDF models, and of their colors."""
 
 from pathlib import Path
 
@@ -36,7 +36,7 @@ def visual(shape: str, xyz: str = "0 0 0", rpy: str = "0 0 0", color: str = "") 
 
 
 def read_colors(urdf: Path) -> npt.NDArray[np.uint8]:
-    """Return the colours of the centres of all triangles of a model with one visible link."""
+    """Return the colors of the centers of all triangles of a model with one visible link."""
     ((surface,), (mesh,)) = read_surfaces(urdf, read_tree(urdf)), read(urdf)
     return surface.sample(np.arange(len(mesh.faces)), np.full((len(mesh.faces), 2), 1 / 3, dtype=np.float32))
 
@@ -62,7 +62,7 @@ def test_every_visible_link_has_one_mesh(urdf: Path) -> None:
 
 
 def test_shapes_of_one_link_become_one_mesh(tmp_path: Path) -> None:
-    """Shapes of one link are merged into one mesh and keep their positions, corners and colours."""
+    """Shapes of one link are merged into one mesh and keep their positions, corners and colors."""
     box = '<box size="1 1 1"/>'
     shapes = [visual(box, "3 0 0", color="1 0 0"), visual(box, "-3 0 0", color="0 0.5 1"), visual(box, "0 9 0")]
     (mesh,) = read(urdf := write(tmp_path, *shapes))

@@ -1,4 +1,4 @@
-"""Tests of the requirements on all givers, and of the behaviour of each giver."""
+"""Tests of the requirements on all givers, and of the behavior of each giver."""
 
 import json
 from importlib.resources import files

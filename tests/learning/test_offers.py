@@ -112,7 +112,7 @@ def test_the_best_grasp_is_that_of_an_observation_of_the_offered_object(seed: in
 
 
 def test_offers_within_the_arms_reach_have_small_distances() -> None:
-    """An object 0.1 m from the gripper is within reach, one a metre away is not; larger distances count as 0.3 m."""
+    """An object 0.1 m from the gripper is within reach, one a meter away is not; larger distances count as 0.3 m."""
     observation, offers = draw_observation(0), np.zeros((2, 7), np.float32)
     arm = ArmInWorld.for_panda(CONTEXT.panda_urdf, CONTEXT.panda, 0.03)
     hand = arm.compute_hand_pose(observation["robot_joint_position"][:7].astype(float))

@@ -17,9 +17,9 @@ from handover_marl.execution.reading import check_plain_file, report_damage
 from handover_marl.geometry.model_files.meshes import compute_convex_hull, decompose_convex
 from handover_marl.geometry.model_files.obj_files import read_obj
 
-# Smallest and largest mass (kg), largest extent of an object, and distance of its centre from its frame's origin (m).
+# Smallest and largest mass (kg), largest extent of an object, and distance of its center from its frame's origin (m).
 _MASS, _EXTENT, _MAX_OFFSET = (1e-3, 20.0), (0.005, 0.7), 0.7
-#: Metres in each unit of length.
+#: Meters in each unit of length.
 UNITS: Final = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
 _LIMITS: Final = {
     **{"scale": (1e-6, 1e6), "mass": _MASS, "density": (1.0, 30_000.0), "friction": (0.0, 10.0)},
@@ -125,7 +125,7 @@ def _read_mesh(path: Path | trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 def _repair_mesh(mesh: trimesh.Trimesh, config: MeshConfig, name: str) -> tuple[trimesh.Trimesh, list[str]]:
-    """Return a mesh in metres with a repaired surface, and descriptions of the repairs; `name` is for errors."""
+    """Return a mesh in meters with a repaired surface, and descriptions of the repairs; `name` is for errors."""
     repairs: list[str] = []
     vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces)
     if not len(faces) or not np.isfinite(vertices).all() or faces.min() < 0 or faces.max() >= len(vertices):
@@ -139,7 +139,7 @@ def _repair_mesh(mesh: trimesh.Trimesh, config: MeshConfig, name: str) -> tuple[
         repairs.append(f"simplified from {len(faces)} to {len(mesh.faces)} triangles")
     mesh.merge_vertices()
     n_faces = len(mesh.faces)
-    with np.errstate(invalid="ignore"):  # flat bodies have no centre
+    with np.errstate(invalid="ignore"):  # flat bodies have no center
         is_outward = mesh.is_winding_consistent and mesh.volume >= 0.0
         mesh.process(validate=True)
         _check_solid(mesh, name)
@@ -157,8 +157,8 @@ def _check_size(mesh: trimesh.Trimesh, config: MeshConfig, name: str) -> None:
     extents, (low, high) = np.asarray(mesh.extents), _EXTENT
     largest, distance = float(extents.max()), float(np.linalg.norm(mesh.bounds.mean(axis=0)))
     if not low <= largest <= high:
-        metres = largest / UNITS[config.unit]
-        fitting = [unit for unit, size in UNITS.items() if 0.03 <= metres * size <= 0.5 and unit != config.unit]
+        meters = largest / UNITS[config.unit]
+        fitting = [unit for unit, size in UNITS.items() if 0.03 <= meters * size <= 0.5 and unit != config.unit]
         advice = f"if it is in {' or '.join(fitting)}, pass unit={fitting[0]!r}" if fitting else "pass unit or scale"
         raise DataFormatError(
             f"{name}: the largest extent must be {low} to {high} m, got {' x '.join(f'{size:.3g}' for size in extents)}"

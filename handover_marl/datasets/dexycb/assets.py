@@ -63,7 +63,7 @@ def format_numbers(*numbers: float) -> str:
 
 
 # Smallest skinning weight of the vertices of a link. The collision meshes at the roots of the
-# middle, little and ring finger are smaller, so that neighbouring fingers do not touch.
+# middle, little and ring finger are smaller, so that neighboring fingers do not touch.
 _MIN_WEIGHT, _MIN_ROOT_WEIGHT = 0.2, 0.7
 _ROOT_JOINTS = (4, 7, 10)
 

@@ -1,6 +1,6 @@
 """Procedural objects of random sizes, and objects as unions of convex polyhedra, also read from model files.
 
-Lengths are in metres. The surface of a part of a procedural object is a stack of rings: convex outlines with parallel
+Lengths are in meters. The surface of a part of a procedural object is a stack of rings: convex outlines with parallel
 edges, so that the quadrilaterals between two rings are planar and the part is their convex hull. The origin of a
 procedural object is the center of its bounding box. Every procedural object has a place that the Panda's gripper, which
 opens to 80 mm, can span.

@@ -80,7 +80,7 @@ def decompose_convex(vertices: Array, faces: Faces, concavity: float = 0.05) -> 
     """Return the corners (n, 3) in m of each convex part of a mesh, by CoACD (Wei et al., SIGGRAPH 2022).
 
     Needs CoACD (extra `import`). A part has at most 64 corners, as in HandoverSim's files; CoACD's own reduction of
-    corners cuts off millimetres. `concavity` is the largest concavity of a part, 0.01 (many parts) to 1; the default is
+    corners cuts off millimeters. `concavity` is the largest concavity of a part, 0.01 (many parts) to 1; the default is
     CoACD's.
     """
     import coacd  # type: ignore[import-untyped]

@@ -1,6 +1,6 @@
-"""Colours of visual meshes, as PyBullet draws them.
+"""Colors of visual meshes, as PyBullet draws them.
 
-A shape has the colour of its URDF material, multiplied with the first texture that the materials of its OBJ file name;
+A shape has the color of its URDF material, multiplied with the first texture that the materials of its OBJ file name;
 all other values of these materials are ignored. The last definition of a material's name counts in the whole model.
 """
 
@@ -29,7 +29,7 @@ _WHITE = np.full((1, 1, 3), 255, dtype=np.uint8)
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Colours of the triangles of one `VisualMesh`, in the same order.
+    """Colors of the triangles of one `VisualMesh`, in the same order.
 
     Attributes:
         corners: (f, 3, 2) float32 positions of the triangles' corners in their textures, rightwards and upwards in
@@ -43,7 +43,7 @@ class Surface:
     texels: Texture
 
     def sample(self, faces: npt.NDArray[np.integer], weights: Array) -> Texture:
-        """Return colours (n, 3) at a point of each triangle `faces` (n,), by the weights (n, 2) of corners 2 and 3."""
+        """Return colors (n, 3) at a point of each triangle `faces` (n,), by the weights (n, 2) of corners 2 and 3."""
         # `take` is several times as fast as indexing of rows.
         first, width, height = self.textures.take(faces, axis=0).T
         if self._is_plain:
@@ -68,7 +68,7 @@ class Surface:
 
 
 def read_surfaces(urdf: Path, tree: KinematicTree, without: Collection[str] = ()) -> list[Surface]:
-    """Read the colours of the meshes that `read_visual_meshes` returns for the same arguments."""
+    """Read the colors of the meshes that `read_visual_meshes` returns for the same arguments."""
     return [_read_surface(urdf, shapes) for shapes in group_visual_shapes(urdf, tree, without).values()]
 
 

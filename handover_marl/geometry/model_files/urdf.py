@@ -28,7 +28,7 @@ class UrdfLink:
 
     Attributes:
         mass: Mass in kg.
-        center: Centre of mass (x, y, z) in the link's frame (m).
+        center: Center of mass (x, y, z) in the link's frame (m).
         friction: Lateral friction; Bullet multiplies the values of two touching links. Default: Bullet's.
         spinning_friction: Torsional friction: torque about the contact normal per newton of normal force (m).
         limits: Lower and upper limit of the joint that carries the link (rad, m); None for a joint without limits.

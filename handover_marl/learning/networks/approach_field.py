@@ -30,7 +30,7 @@ STANDOFF, _STANDOFF_BAND = 0.055, 0.02
 # orientation at the grasp (m/rad). The hand moves in up to the first error, moves to the standoff from the second
 # one on, and changes its target linearly between both (m).
 _ROTATION_WEIGHT, _MIN_ERROR, _MAX_ERROR = 0.05, 0.008, 0.018
-# Additional distance of the standoff per metre of error beyond `_MAX_ERROR`, and its largest distance (m).
+# Additional distance of the standoff per meter of error beyond `_MAX_ERROR`, and its largest distance (m).
 _CONE_SLOPE, _MAX_STANDOFF = 0.5, 0.12
 
 

@@ -75,7 +75,7 @@ class ExactWorld(BulletWorld):
         return self._read_contacts(hand, self._objects[0], {body.id for body in self._objects[1:]}, released)
 
     def render_camera(self, snapshot: JointSnapshot | None, color: bool, camera: Pinhole = WRIST_CAMERA) -> CameraImage:
-        """Render an image of a camera for a snapshot, None for the current state; `color` adds colours."""
+        """Render an image of a camera for a snapshot, None for the current state; `color` adds colors."""
         if snapshot is not None:
             return super().render_camera(snapshot, color, camera)
         return render_camera(self._client, self._loaded_workcell, self._objects, self._hand, color, camera)

@@ -46,7 +46,7 @@ def render_camera(
         workcell: Table, and Panda with the wrist camera.
         objects: Objects, the target first.
         hand: Human hand, if there is one.
-        color: Whether to render colours.
+        color: Whether to render colors.
         camera: The camera.
     """
     panda = workcell.panda
@@ -172,7 +172,7 @@ class SceneRenderer:
         return rgb
 
     def render(self, snapshot: JointSnapshot, color: bool, camera: Pinhole = WRIST_CAMERA) -> CameraImage:
-        """Render an image of a camera at the joint positions `snapshot` of all bodies; `color` adds colours."""
+        """Render an image of a camera at the joint positions `snapshot` of all bodies; `color` adds colors."""
         self.set_joints(snapshot)
         return render_camera(self._client, self._workcell, self._objects, self._hand, color, camera)
 

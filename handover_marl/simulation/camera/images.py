@@ -21,12 +21,12 @@ class SegmentationLabel(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class CameraImage:
-    """Depth image, segmentation mask and colours of a camera of h x w pixels.
+    """Depth image, segmentation mask and colors of a camera of h x w pixels.
 
     Attributes:
         depth: (h, w) float32 depth along the viewing axis (m); `Pinhole.empty_depth` for background.
         segmentation: (h, w) uint8 values of `SegmentationLabel`.
-        rgb: (h, w, 3) uint8 colours, or None.
+        rgb: (h, w, 3) uint8 colors, or None.
     """
 
     depth: npt.NDArray[np.float32]

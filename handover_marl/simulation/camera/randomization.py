@@ -101,7 +101,7 @@ class CameraDraw(NamedTuple):
     gains: npt.NDArray[np.float64] | None
 
     def change_colors(self, image: CameraImage) -> CameraImage:
-        """Return an image with the colours of this camera; an image without colours is returned unchanged."""
+        """Return an image with the colors of this camera; an image without colors is returned unchanged."""
         if image.rgb is None or self.gains is None:
             return image
         rgb = np.minimum(image.rgb * self.gains.astype(np.float32)[image.segmentation], 255.0)

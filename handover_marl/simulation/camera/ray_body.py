@@ -126,7 +126,7 @@ class RayBody:
 
     @functools.cached_property
     def surfaces(self) -> list[Surface]:
-        """Colours of `meshes`, in the same order; read when an image with colours is rendered for the first time."""
+        """Colors of `meshes`, in the same order; read when an image with colors is rendered for the first time."""
         return read_surfaces(self._urdf, self._tree, self._without)
 
     def compute_mesh_frames(self, joints: Array) -> tuple[Float64Array, Float64Array]:

@@ -1,4 +1,4 @@
-"""Renderer of cameras by ray casting, and its framebuffer: depth, segmentation labels and colours.
+"""Renderer of cameras by ray casting, and its framebuffer: depth, segmentation labels and colors.
 
 Rays are cast only through the pixels of a rectangle around each link. If only object and hand are rendered, the other
 bodies are tested only against rays that hit the object or the hand.
@@ -69,13 +69,13 @@ class PosedLink(NamedTuple):
 class Framebuffer:
     """Depth of one image during ray casting, and the number of the link that each pixel shows.
 
-    Pixels are numbered row by row. Colours are computed at the end, once for each pixel.
+    Pixels are numbered row by row. Colors are computed at the end, once for each pixel.
 
     Args:
         camera: Camera of the image.
         rotation: (3, 3) axes of the camera (right, down, ahead) in the world, as columns.
         position: (3,) world position of the pinhole (m).
-        color: Whether the image has colours.
+        color: Whether the image has colors.
     """
 
     def __init__(self, camera: Pinhole, rotation: Float64Array, position: Float64Array, color: bool = False) -> None:
@@ -136,7 +136,7 @@ class Framebuffer:
         return CameraImage(self._depth.reshape(shape), labels.take(self._owner).reshape(shape), rgb)
 
     def _compute_colors(self, links: Sequence[PosedLink]) -> Colors:
-        """Return the colours (n, 3) of all pixels."""
+        """Return the colors (n, 3) of all pixels."""
         # Three channels and an unused one in one 32-bit number, which is faster than three.
         colors = np.empty((len(self._owner), 4), np.uint8)
         packed = colors.view(np.uint32)[:, 0]
@@ -146,7 +146,7 @@ class Framebuffer:
         ground = order[ends[0] : ends[1]]
         x, y, _ = (self._camera.rays.take(ground, axis=0) @ self._rotation.T).T * self._depth[ground]
         squares = (np.floor(x + self._position[0]) + np.floor(y + self._position[1])).astype(np.int64) & 1
-        # World normals, the number of each pixel's normal, and colours before shading; those of the ground come first.
+        # World normals, the number of each pixel's normal, and colors before shading; those of the ground come first.
         normals, found = [np.array([[0.0, 0.0, 1.0]])], [_GROUND_COLORS[squares]]
         numbers: list[npt.NDArray[np.integer]] = [np.zeros(len(ground), np.int64)]
         count = 1
@@ -204,7 +204,7 @@ def _compute_brightness(normals: npt.NDArray[np.floating]) -> Float64Array:
 
 
 def _shade(colors: npt.NDArray[np.integer], brightness: Float64Array) -> npt.NDArray[np.uint32]:
-    """Multiply colours (n, 3) by a brightness (n,); return each colour as one packed 32-bit number (n,)."""
+    """Multiply colors (n, 3) by a brightness (n,); return each color as one packed 32-bit number (n,)."""
     shaded = np.empty((len(colors), 4), np.uint8)
     for channel in range(3):
         np.multiply(colors[:, channel], brightness, out=shaded[:, channel], casting="unsafe")
@@ -237,7 +237,7 @@ class RayCamera:
     def render(self, snapshot: JointSnapshot, color: bool, camera: Pinhole = WRIST_CAMERA) -> CameraImage:
         """Render an image with all bodies of the scene at the joint positions of a snapshot.
 
-        With `color`, the image has the colours of the models' materials and textures in PyBullet's light.
+        With `color`, the image has the colors of the models' materials and textures in PyBullet's light.
         """
         view = self._compute_camera_frame(snapshot, camera)
         buffer, links = Framebuffer(camera, *view, color), self._pose_links(snapshot, camera, view)

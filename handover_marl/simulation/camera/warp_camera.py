@@ -63,7 +63,7 @@ class MeshBuffers:
         self._meshes: list[warp.Mesh] = []
         self._models: dict[tuple[object, ...], list[DeviceMesh]] = {}
         self._n_faces = 0
-        # Models whose colours have not been copied to the device, in the order of their meshes.
+        # Models whose colors have not been copied to the device, in the order of their meshes.
         self._uncolored: list[tuple[Path, tuple[str, ...]]] = []
         self._extend(0, np.zeros(4), 0)
 
@@ -92,7 +92,7 @@ class MeshBuffers:
         return found
 
     def read_colors(self) -> None:
-        """Copy the colours of all meshes to the device, unless they are there."""
+        """Copy the colors of all meshes to the device, unless they are there."""
         while self._uncolored:
             urdf, without = self._uncolored[0]
             for surface in read_surfaces(urdf, read_tree(urdf), without):
@@ -127,7 +127,7 @@ class ImageBatch(NamedTuple):
     Attributes:
         depth: (r, p) float32 depth along the viewing axis (m); `Pinhole.empty_depth` for background.
         segmentation: (r, p) uint8 values of `SegmentationLabel`.
-        rgb: (r, p, 3) uint8 colours, or None.
+        rgb: (r, p, 3) uint8 colors, or None.
     """
 
     depth: AnyArray
@@ -202,7 +202,7 @@ class WarpCamera:
     ) -> ImageBatch:
         """Render images of the worlds `rows` (r,) in `states` (r, ...).
 
-        With `color`, images have the colours of the models' materials and textures in PyBullet's light. Only visible
+        With `color`, images have the colors of the models' materials and textures in PyBullet's light. Only visible
         pixels of bodies with `labels` are rendered, and those of the ground if `BACKGROUND` is one of these.
         """
         if self._mesh_buffers is None:

@@ -103,7 +103,7 @@ def sample_texture(
     face: int,
     weights: warp.vec2,
 ) -> warp.vec3:
-    """Return the colour, 0 to 255, of a point on a face, by weights of corners 2 and 3; see `render_images`."""
+    """Return the color, 0 to 255, of a point on a face, by weights of corners 2 and 3; see `render_images`."""
     origin, texture = corners[face, 0], textures[face]
     place = origin + weights[0] * (corners[face, 1] - origin) + weights[1] * (corners[face, 2] - origin)
     column = warp.min(int((place[0] - warp.floor(place[0])) * float(texture[1])), texture[1] - 1)
@@ -114,7 +114,7 @@ def sample_texture(
 
 @warp.func
 def shade(color: warp.vec3, normal: warp.vec3) -> warp.vec3:
-    """Return a colour, 0 to 255, in the light that falls on a face with a unit normal in the world."""
+    """Return a color, 0 to 255, in the light that falls on a face with a unit normal in the world."""
     cosine = warp.dot(normal, _LIGHT)
     height = warp.max(2.0 * cosine * normal[2] - _LIGHT[2], 0.0)
     return (_AMBIENT + _DIFFUSE * warp.max(cosine, 0.0) + _SPECULAR * height * height) * color
@@ -152,9 +152,9 @@ def render_images(
         origins: Origins (w, s) of the meshes.
         spheres: Centers and radii (w, s) of bounding spheres of the meshes.
         first_faces: Numbers (w, s) of the meshes' first faces among the f faces of all meshes.
-        corners: Texture coordinates (f, 3) of the faces' corners; not used for images without colours.
-        textures: First texel, width and height (f,) of the faces' textures; not used for images without colours.
-        texels: Red, green and blue (t,) of all textures; not used for images without colours.
+        corners: Texture coordinates (f, 3) of the faces' corners; not used for images without colors.
+        textures: First texel, width and height (f,) of the faces' textures; not used for images without colors.
+        texels: Red, green and blue (t,) of all textures; not used for images without colors.
         cameras: Rotation matrices (w,) of the cameras in the world.
         pinholes: Positions (w,) of the cameras in the world.
         label_bits: Bits of the labels of the wanted bodies.
@@ -165,7 +165,7 @@ def render_images(
         empty_depth: Depth of background pixels (m).
         depths: Depth (w, p) of p pixels, an output.
         segmentation: Segmentation labels (w, p), an output.
-        rgb: Colours (w, p, 3), an output; (0, 0, 0) for images without colours.
+        rgb: Colors (w, p, 3), an output; (0, 0, 0) for images without colors.
     """
     world, pixel = warp.tid()
     ray = compute_ray(pixel, width, intrinsics)

@@ -80,7 +80,7 @@ def test_padding_is_not_sampled_and_balls_are_open() -> None:
 
 
 def make_lively(module: nn.Module) -> nn.Module:
-    """Return the module in evaluation mode, with weights so large that shifts of a centimetre change its outputs."""
+    """Return the module in evaluation mode, with weights so large that shifts of a centimeter change its outputs."""
     generator = torch.Generator().manual_seed(1)
     for name, parameter in module.named_parameters():
         if name.endswith("stages.0.mlps.0.0.weight"):

@@ -36,10 +36,10 @@ def make_patches(seed: int) -> CameraImage:
 
 
 def find_edges(depth: npt.NDArray[np.float32], step: float) -> npt.NDArray[np.bool_]:
-    """Return a mask of the pixels whose depth differs by more than `step` (m) from one of the four neighbours."""
+    """Return a mask of the pixels whose depth differs by more than `step` (m) from one of the four neighbors."""
     framed = np.pad(depth, 1, mode="edge")
-    neighbours = [framed[:-2, 1:-1], framed[2:, 1:-1], framed[1:-1, :-2], framed[1:-1, 2:]]
-    return np.array(np.any([np.abs(other - depth) > step for other in neighbours], axis=0))
+    neighbors = [framed[:-2, 1:-1], framed[2:, 1:-1], framed[1:-1, :-2], framed[1:-1, 2:]]
+    return np.array(np.any([np.abs(other - depth) > step for other in neighbors], axis=0))
 
 
 def worsen(photo: CameraImage, camera: CameraNoise, seed: int = 0) -> CameraImage:

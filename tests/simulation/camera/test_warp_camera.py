@@ -1,4 +1,4 @@
-"""Tests of wrist cameras on a device, on Warp's CPU device, against the ray caster, and of the renderers' colours."""
+"""Tests of wrist cameras on a device, on Warp's CPU device, against the ray caster, and of the renderers' colors."""
 
 import shutil
 from dataclasses import replace
@@ -204,14 +204,14 @@ def load_colored_scenes(request: pytest.FixtureRequest, data: str, folder: Path)
 def compute_means(
     rgb: npt.NDArray[np.uint8], segmentation: npt.NDArray[np.uint8]
 ) -> dict[SegmentationLabel, npt.NDArray[np.float64]]:
-    """Return the mean colours (3,) of the labels with enough pixels."""
+    """Return the mean colors (3,) of the labels with enough pixels."""
     masks = {label: segmentation == label for label in SegmentationLabel}
     return {label: rgb[mask].mean(axis=0) for label, mask in masks.items() if mask.sum() >= MIN_PIXELS}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("data", ["own", "real"])
-def test_renderers_draw_the_same_colours(request: pytest.FixtureRequest, tmp_path: Path, data: str) -> None:
+def test_renderers_draw_the_same_colors(request: pytest.FixtureRequest, tmp_path: Path, data: str) -> None:
     rng, compared = np.random.default_rng(0), dict.fromkeys(SegmentationLabel, 0)
     scenes = load_colored_scenes(request, data, tmp_path)
     for scene in scenes:
@@ -238,7 +238,7 @@ def test_renderers_draw_the_same_colours(request: pytest.FixtureRequest, tmp_pat
 
 
 def test_textures_are_drawn_in_place(tmp_path: Path) -> None:
-    """Pixel for pixel, a textured object has the colours that PyBullet draws, except at edges of the texture."""
+    """Pixel for pixel, a textured object has the colors that PyBullet draws, except at edges of the texture."""
     scene = make_textured_scene(open_dataset("synthetic", robot=PANDA_CAMERA).load_scene(14), tmp_path)
     bullet, rays, rng = SceneRenderer(scene, CONFIG), RayCamera(scene.assets, CONFIG), np.random.default_rng(1)
     shown = 0

@@ -68,7 +68,7 @@ _MAX_DECISIONS = 20
 # Distance of the middle between the pads from the grasp at which a simulated approach ends (m), and weight of the
 # rotation in this distance (m/rad).
 _TOLERANCE, _ROTATION_WEIGHT = 0.015, 0.05
-# Cost per metre of distance from the grasp beyond the tolerance at the end of the simulated approach.
+# Cost per meter of distance from the grasp beyond the tolerance at the end of the simulated approach.
 _GOAL_ERROR_COST = 20.0
 # Distance from the cheapest grasp at the end of its simulated approach above which the scenario gets no plan (m).
 _MAX_GOAL_ERROR = 0.03
@@ -83,10 +83,10 @@ _SWITCH_MARGIN = 0.03
 _STANDOFF, _MAX_JOINT_CHANGE = 0.06, 0.8
 # Cost of a rotation of the hand relative to that of the travel of the middle between the pads (m/rad).
 _ROTATION_COST = 0.15
-# Factor that converts costs of loose grasps, as for the receiver `reactive`, from seconds to metres (m/s).
+# Factor that converts costs of loose grasps, as for the receiver `reactive`, from seconds to meters (m/s).
 _PACE = 0.1
 # Clearance of the gripper to the occluding sphere below which grasps cost more (m), at the grasp and on the straight
-# approach of a given length (m), and the cost per metre below it.
+# approach of a given length (m), and the cost per meter below it.
 _CLEARANCE, _SWEEP, _CLEARANCE_COST = 0.01, 0.08, 20.0
 # Clearance of the gripper to the table below which a grasp has an additional cost (m), and this cost (m).
 _TABLE_CLEARANCE, _TABLE_COST = 0.005, 3.0

@@ -1,6 +1,6 @@
 """Rendered images and point clouds with classes, and the training of the segmentation network of `vision`.
 
-Frames come from recordings, and arm poses are on random ways to the object. Camera errors, colours, light and depth
+Frames come from recordings, and arm poses are on random ways to the object. Camera errors, colors, light and depth
 noise are random in every image. The clouds, for the part of the network that separates the points of object and hand,
 come from the images in which the image network finds object or hand. The module needs the extra `train`.
 """
@@ -66,7 +66,7 @@ class SegmentationViews(NamedTuple):
     """Arrays of n images of h x w pixels.
 
     Attributes:
-        rgb: (n, h, w, 3) colours.
+        rgb: (n, h, w, 3) colors.
         depth: (n, h, w) depth along the viewing axis (m).
         height: (n, h, w) heights in the world of the pixels' points, for a camera without errors (m).
         classes: (n, h, w) classes of `SegmentationNetwork`, or 255 for pixels without a depth.

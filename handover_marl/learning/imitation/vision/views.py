@@ -59,7 +59,7 @@ _WAITING_POSE_SHARE, _BETWEEN_SHARE = 0.1, 0.25
 # Largest distance of a pose before a grasp from it, back along the hand's z axis (m).
 _MAX_DISTANCE = 0.5
 # Root mean square of the length (m) and angle (rad) of the random offset of such a pose at distance 0, and their
-# increase per metre of distance from the grasp.
+# increase per meter of distance from the grasp.
 _LATERAL_RMS, _LATERAL_SLOPE, _ANGLE_RMS, _ANGLE_SLOPE = 0.015, 0.25, 0.1, 0.7
 # Standard deviation of every arm joint near a waiting pose (rad).
 _JOINT_NOISE_STD = 0.08

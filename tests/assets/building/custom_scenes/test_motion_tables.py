@@ -105,7 +105,7 @@ def test_csv_files_of_spreadsheets(separator: str, tmp_path: Path) -> None:
 
 
 def write_motive(path: Path, bodies: dict[str, Any], time: Any, old: bool) -> Path:
-    """Write poses as Motive does: y up, millimetres, quaternions first, with an error and a marker of each body."""
+    """Write poses as Motive does: y up, millimeters, quaternions first, with an error and a marker of each body."""
     kinds, names, parts, axes = ([], [], [], [])
     for name in bodies:
         kinds += ["Rigid Body"] * 8 + ["Rigid Body Marker"] * 3

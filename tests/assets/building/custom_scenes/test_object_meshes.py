@@ -24,7 +24,7 @@ def box(vertices: Any = VERTICES, faces: Any = FACES) -> trimesh.Trimesh:
 
 
 DAMAGED: dict[str, tuple[trimesh.Trimesh, str]] = {
-    "millimetres": (box(1e3 * VERTICES), r"extent must be 0.005 to 0.7 m, got 50 x 50 x 160 m.*unit='mm'"),
+    "millimeters": (box(1e3 * VERTICES), r"extent must be 0.005 to 0.7 m, got 50 x 50 x 160 m.*unit='mm'"),
     "huge": (box(1e6 * VERTICES), "pass unit or scale"),
     "far from the origin": (box(VERTICES + 3.0), "must be near the origin of its frame, got a distance of 5.2 m"),
     "infinite": (box(np.where(VERTICES > 0.07, np.inf, VERTICES)), "finite vertices"),

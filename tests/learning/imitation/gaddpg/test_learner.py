@@ -40,7 +40,7 @@ def test_augmented_states_are_the_same_ones_from_another_pose_of_the_hand() -> N
     assert set(moved.remaining.tolist()) <= set(range(1, 21))
 
 
-def test_losses_are_in_metres_and_goals_equal_up_to_a_rotation_by_pi() -> None:
+def test_losses_are_in_meters_and_goals_equal_up_to_a_rotation_by_pi() -> None:
     turn, place = Rotation.random(random_state=0), [0.1, -0.2, 0.3]
     reported = torch.tensor(np.array([[*turn.as_quat()[[3, 0, 1, 2]], *place]])).float()
     for other in (turn, turn * Rotation.from_euler("z", np.pi)):
