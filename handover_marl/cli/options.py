@@ -138,19 +138,26 @@ class PairArguments(EvaluationConfig):
 
 
 @dataclass(frozen=True)
-class ReceiverArguments(PairArguments):
-    """Options that configure scenes, the receiver and simulation."""
+class SceneArguments(PairArguments):
+    """Options that configure scenes and simulation."""
 
     giver: _Hidden[str] = REPLAY
-    inference_time: _Hidden[InferenceTime] = None
+    receiver: _Hidden[str] = "yang2021"
 
 
 @dataclass(frozen=True)
-class SceneArguments(ReceiverArguments):
-    """Options that configure scenes and simulation."""
+class OfficialSceneArguments(SceneArguments):
+    """Options that configure scenes and simulation under the official rules."""
 
-    receiver: _Hidden[str] = "yang2021"
-    inference_time: InferenceTime = None
+    inference_time: _Hidden[InferenceTime] = None
+    initial_joint_noise: _Hidden[float] = 0.0
+
+
+@dataclass(frozen=True)
+class ReceiverArguments(OfficialSceneArguments):
+    """Options that configure scenes, the receiver and simulation under the official rules."""
+
+    receiver: PolicyName = "yang2021"
 
 
 @dataclass(frozen=True)
@@ -169,3 +176,10 @@ class ExecutionArguments(ExecutionConfig):
 
     def __post_init__(self) -> None:
         """Do nothing: commands check the values."""
+
+
+@dataclass(frozen=True)
+class WholeExecutionArguments(ExecutionArguments):
+    """Options that configure workers and output, without shards."""
+
+    shard: _Hidden[str | None] = None

@@ -6,6 +6,7 @@ import tyro
 
 from handover_marl.cli.options import (
     ExecutionArguments,
+    OfficialSceneArguments,
     PairArguments,
     PopulationName,
     Progress,
@@ -14,6 +15,7 @@ from handover_marl.cli.options import (
     SceneArguments,
     TableArguments,
     Trust,
+    WholeExecutionArguments,
 )
 from handover_marl.cli.streams import print_tables
 from handover_marl.config import CameraConfig
@@ -25,8 +27,9 @@ from handover_marl.evaluation.rendering import render_scene
 from handover_marl.evaluation.strangers.protocol import strangers
 from handover_marl.simulation.engines import FAST
 
-_EXECUTION, _VAL_PAIR, _VAL_SCENES = ExecutionArguments(), PairArguments(split="val"), SceneArguments(split="val")
-_STRANGERS, _TABLES = SceneArguments(physics=FAST), TableArguments()
+_EXECUTION, _WHOLE_EXECUTION = ExecutionArguments(), WholeExecutionArguments()
+_VAL_PAIR, _VAL_SCENES = PairArguments(split="val"), SceneArguments(split="val")
+_STRANGERS, _TABLES = OfficialSceneArguments(physics=FAST), TableArguments()
 _Point = Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")]
 _Policies = Annotated[tuple[str, ...], tyro.conf.arg(metavar="POLICY [POLICY ...]")]
 _OptionalPolicies = Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="POLICY [POLICY ...]")]
@@ -73,8 +76,8 @@ def run_strangers(
     population: PopulationName = "strangers-v1",
     partners: Literal["train", "test", "all"] = "test",
     n_scenes: int = 36,
-    evaluation: SceneArguments = _STRANGERS,
-    execution: ExecutionArguments = _EXECUTION,
+    evaluation: OfficialSceneArguments = _STRANGERS,
+    execution: WholeExecutionArguments = _WHOLE_EXECUTION,
     tables: TableArguments = _TABLES,
 ) -> None:
     """Evaluate a receiver, or a giver, with unseen partners from a population.

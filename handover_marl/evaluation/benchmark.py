@@ -37,7 +37,7 @@ MakeWriter: TypeAlias = Callable[[Path, EvaluationConfig], EpisodeWriter]
 _SHARD = re.compile(r"(\d{1,4})/(\d{1,4})")
 
 
-_OTHER_RULES = "use evaluate_pair (pair) for results that are not official"
+_OTHER_RULES = "use evaluate_pair for results that are not official"
 
 
 @forward_signature(
