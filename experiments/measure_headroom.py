@@ -104,7 +104,8 @@ def main(args: Args) -> dict[tuple[str, str], npt.NDArray[np.bool_]]:
             estimates = [estimate_mean(compute_best_of(successes, k).tolist()) for k in numbers]
             rows.append([receiver, quantity, *(one.format() for one in estimates)])
     print(format_table(["receiver", "offers differ in", *(f"best of {k}, success %" for k in numbers)], rows))
-    print(f"{args.n_scenes} scenes of {args.setup} {args.split}, {args.open_dataset().name}, {args.physics} physics")
+    n_scenes = len(next(iter(found.values())))
+    print(f"{n_scenes} scenes of {args.setup} {args.split}, {args.open_dataset().name}, {args.physics} physics")
     if args.figure is not None:
         draw_figure(found, numbers, args.figure)
     return found

@@ -23,6 +23,7 @@ from torch import nn
 import handover_marl
 from handover_marl.config import ProtocolConfig
 from handover_marl.episode.observations import add_episode_axis, giver_observation_space
+from handover_marl.errors import OptionError
 from handover_marl.execution.files import write_arrays
 from handover_marl.learning.adaptive_giver import (
     N_OFFER_FEATURES,
@@ -229,6 +230,11 @@ def main(args: Args) -> Path:
     args = args.resolve_setup()
     for receiver in args.receivers:
         parse_policy("receiver", receiver)  # before the run's folder is made
+    if args.workers % len(args.receivers) or args.num_envs % args.workers:
+        raise OptionError(
+            f"num_envs must be a multiple of workers, and workers of the number of receivers, got {args.num_envs}, "
+            f"{args.workers} and {len(args.receivers)}"
+        )
     folder = open_run_folder(args.out, args, args.resume, args.open_dataset().name, ("episodes", "workers"))
     network = fit(train(args, folder), args, args.seed)
     spec = PolicySpec("giver", OFFER_FEATURES, ACTIONS, CONTROL_PERIOD, describe_origin("train_giver_offers", args))

@@ -229,9 +229,11 @@ def fit(decisions: Decisions, args: Args) -> DenseNetwork:
 def main(args: Args) -> Path:
     args = args.resolve_setup()
     dataset = args.open_dataset()
-    folder = open_run_folder(args.out, args, args.resume, dataset.name, ("rounds", "closing_margin", "workers"))
+    expert = parse_policy("receiver", args.expert).resolve(dataset, setup=args.setup)
+    mutable_args = ("rounds", "closing_margin", "workers")
+    folder = open_run_folder(args.out, args, args.resume, dataset.name, mutable_args, expert_hash=expert.code_hash)
     torch.set_num_threads(1)  # The networks are small, and the other cores simulate.
-    period = parse_policy("receiver", args.expert).make(dataset, setup=args.setup).hold_time
+    period = expert.make(dataset, setup=args.setup).hold_time
     origin = describe_origin("train_receiver_dagger", args, "workers")
     spec = PolicySpec("receiver", args.features, args.action_scheme, period, origin)
     decisions: list[Decisions] = []

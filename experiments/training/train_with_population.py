@@ -75,10 +75,13 @@ class Args(SetupArgs):
         if self.partner and self.method != "best_response":
             raise OptionError(f"partner must be left out with method {self.method}, got {self.partner!r}")
 
-    def open_folder(self, name: str, mutable_args: tuple[str, ...]) -> Path:
-        """Make the folder `name` in `out`, or check that only `mutable_args` of its arguments differ; return it."""
+    def open_folder(self, name: str, mutable_args: tuple[str, ...], **hashes: str) -> Path:
+        """Make the folder `name` in `out`, or check that only `mutable_args` of its arguments differ; return it.
+
+        `hashes` are as for `open_run_folder`.
+        """
         path = self.out / name
-        return open_run_folder(path, self, path.exists(), self.open_dataset().name, mutable_args)
+        return open_run_folder(path, self, path.exists(), self.open_dataset().name, mutable_args, **hashes)
 
 
 def train_policy(args: Args, agent: _Agent, partner: str, path: Path, seed: int, share: float = 1.0) -> Path:
@@ -121,8 +124,8 @@ def main(args: Args) -> list[Path]:
     args = args.resolve_setup()
     partner = args.partner or {"receiver": "replay", "giver": "yang2021"}[args.agent]
     parse_policy("giver" if args.agent == "receiver" else "receiver", partner)
-    load_population(args.population)  # before the run's folder is made
-    folder = args.open_folder(f"{args.agent}_{args.method}", ("seeds",))
+    found = load_population(args.population)
+    folder = args.open_folder(f"{args.agent}_{args.method}", ("seeds",), population_hash=found.content_hash)
     if args.method != "best_response":
         population = train_pairs(args) if args.method == "fictitious_co_play" else args.population
         partner = f"population:population={population}"

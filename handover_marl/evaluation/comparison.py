@@ -8,7 +8,9 @@ from handover_marl.errors import ResultsError
 from handover_marl.evaluation.reports.report import Report, load_report
 from handover_marl.evaluation.reports.tables import (
     AVERAGE_SUCCESS,
+    EARLY_GRAB,
     FLUENCY,
+    LATE,
     REPORTED_STATUSES,
     SCENE_HEADER,
     ReportTable,
@@ -112,6 +114,12 @@ class Comparison(TabularResult):
         for column in FLUENCY if known else ():
             values = [(getattr(one, column.key), getattr(other, column.key)) for one, other in known]
             means[column.key] = estimate_mean([float(one - two) for one, two in values if None not in (one, two)])
+        timed = [pair for pair in self.pairs if None not in (pair[0].late_s, pair[1].late_s)]
+        if timed:
+            late = [[each.late_s or 0.0 for each in side] for side in zip(*timed, strict=True)]
+            means[LATE.key] = estimate_mean([one - other for one, other in zip(*late, strict=True)])
+            grabs = ([bool(one.early_grab) for one in side] for side in zip(*timed, strict=True))
+            means[EARLY_GRAB.key] = estimate_paired_difference(*grabs)
         return build_fluency_table(means, " minus ".join(self.names))
 
 

@@ -157,7 +157,16 @@ class CustomScheme(ArrayScheme):
         self.size = _check_size(self._label, getattr(choice, "size", None), "outputs")
         found = _make_instances(SCHEME, agent, choice, context, count)
         self._schemes: Sequence[ActionScheme] = found if isinstance(choice, type) else list(map(_FunctionScheme, found))
-        self.wait = self._schemes[0].wait
+
+    @property
+    def wait(self) -> float:
+        """Time at the start of an episode for which the schemes of all episodes wait (s)."""
+        return self._schemes[0].wait
+
+    @wait.setter
+    def wait(self, wait: float) -> None:
+        for scheme in self._schemes:
+            scheme.wait = wait
 
     def reset(self, row: int) -> None:
         """Clear the state of the scheme of the episode at index `row`."""

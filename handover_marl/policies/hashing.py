@@ -14,7 +14,7 @@ import sys
 from collections.abc import Iterator, Mapping
 from modulefinder import ModuleFinder
 from pathlib import Path
-from types import BuiltinFunctionType, FunctionType, MethodType, ModuleType
+from types import BuiltinFunctionType, CodeType, FunctionType, MethodType, ModuleType
 from typing import Any
 
 import numpy as np
@@ -132,13 +132,15 @@ def _is_installed(name: str) -> bool:
     return any(_SITE_FOLDERS & set(folder.parts) for folder in _find_folders(name))
 
 
-def _describe(value: Any, seen: dict[int, object], arrays_only: bool, depth: int = 0) -> Iterator[bytes]:
+def _describe(value: Any, seen: dict[int, tuple[int, object]], arrays_only: bool, depth: int = 0) -> Iterator[bytes]:
     """Yield the bytes to hash of a value and of all that it refers to; skip objects in `seen`, and add the others."""
     if isinstance(value, _PLAIN) and not arrays_only:
         yield repr(value).encode()
+    if id(value) in seen and not isinstance(value, _PLAIN) and not arrays_only:
+        yield f"object {seen[id(value)][0]}".encode()
     if isinstance(value, _PLAIN) or id(value) in seen or depth > _MAX_DEPTH:
         return
-    seen[id(value)] = value  # kept, so that no other object gets its number
+    seen[id(value)] = len(seen), value  # kept, so that no other object gets its id
     parts: list[Any] = []
     if isinstance(value, _DEFINITIONS):
         parts = [] if arrays_only else _list_parts_of_definition(value)
@@ -162,18 +164,29 @@ def _list_parts_of_definition(value: Any) -> list[Any]:
     is_own = not _is_installed(_get_package(value))
     if isinstance(value, FunctionType):
         # Several functions of a file may have one name, and `eval` may make them of any text.
-        code = value.__code__
-        constants = [part for part in code.co_consts if isinstance(part, _PLAIN)]
-        parts += [code.co_firstlineno, code.co_code, code.co_names, constants]
+        names: set[str] = set()
+        parts.append(_list_parts_of_code(value.__code__, names))
         if is_own:
-            variables = inspect.getclosurevars(value)
-            parts += [{**variables.globals, **variables.nonlocals}, value.__defaults__, value.__kwdefaults__]
+            variables = {name: value.__globals__[name] for name in names if name in value.__globals__}
+            variables |= inspect.getclosurevars(value).nonlocals
+            parts += [variables, value.__defaults__, value.__kwdefaults__]
     elif isinstance(value, type) and is_own:
         # A program may change attributes of a class, and the functions of a local class may be closures.
         kinds = (FunctionType, *_PLAIN) if "<" in value.__qualname__ else _PLAIN
         members = {key: getattr(part, "fget", part) for key, part in vars(value).items() if key != "__module__"}
         parts += [{key: part for key, part in members.items() if isinstance(part, kinds)}, value.__bases__]
     return parts
+
+
+def _list_parts_of_code(code: CodeType, names: set[str]) -> list[Any]:
+    """Return what is hashed of the code of a function and of those in it; add the names that they use to `names`."""
+    names.update(code.co_names)
+    constants = [
+        _list_parts_of_code(part, names) if isinstance(part, CodeType) else part
+        for part in code.co_consts
+        if isinstance(part, (CodeType, tuple, frozenset, *_PLAIN))
+    ]
+    return [code.co_firstlineno, code.co_code, code.co_names, constants]
 
 
 def _list_parts(value: Any) -> list[Any]:

@@ -22,6 +22,7 @@ from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.options import check_path
 from handover_marl.execution.reading import read_plain_file
+from handover_marl.policies.hashing import hash_policy
 from handover_marl.policies.policy import Action, Giver, Policy, PolicyContext, Receiver
 from handover_marl.policies.reference import parse_policy, read_policy_file
 from handover_marl.policies.registry import check_stored_reference, list_available
@@ -220,8 +221,9 @@ class PopulationPolicy(Policy):
 
     @property
     def weights_hash(self) -> str:
-        """Hash of the population's file and of the policy files that it names."""
-        return self._content_hash
+        """Hash of the population's file, of the policy files that it names, and of the members' code."""
+        codes = (hash_policy(member, (), member.weights_hash.encode()) for member in self.members)
+        return hashlib.sha256(" ".join([self._content_hash, *codes]).encode()).hexdigest()
 
     @property
     def wait(self) -> float | None:

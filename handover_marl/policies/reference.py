@@ -14,6 +14,7 @@
 import functools
 import importlib
 import json
+import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -172,19 +173,15 @@ class PolicyReference:
             For each file the option that names it, "" for the policy file; its name, "folder/file" for the files of a
             folder; and its content. Options whose value is no existing file, such as a name, are left out.
         """
-        found = [] if self.file is None else [("", "", Path(self.file).expanduser())]
+        named = [] if self.file is None else [("", Path(self.file))]
         for option, value in self.options:
-            if option in self.policy_class.file_options and isinstance(value, str):
-                path = Path(value).expanduser()
-                if path.is_dir():
-                    found += [(option, f"{path.name}/", file) for file in sorted(path.iterdir())]
-                elif path.exists():
-                    found.append((option, "", path))
-        return [
-            (option, f"{folder}{path.name}", read_policy_file(path))
-            for option, folder, path in found
-            if not path.is_dir()
-        ]
+            if option in self.policy_class.file_options and isinstance(value, (str, os.PathLike)):
+                named.append((option, Path(value)))
+        found = []
+        for option, path in ((option, path.expanduser()) for option, path in named):
+            files = sorted(path.rglob("*")) if path.is_dir() else [path] if path.exists() or not option else []
+            found += [(option, file.relative_to(path.parent).as_posix(), file) for file in files if not file.is_dir()]
+        return [(option, name, read_policy_file(file)) for option, name, file in found]
 
     def _load(self) -> Any:
         if self.pickled:
@@ -246,12 +243,13 @@ class PolicyBundle:
             ) from error
         options, policy_file = dict(self.reference.options), self.reference.file
         for option, name, content in self.files:
-            path = folder / self.reference.agent / (option or "file") / name
+            root = folder / self.reference.agent / (option or "file")
+            path = root / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(content)
             # The files of a folder are named "folder/file"; the option names the folder.
             if option:
-                options[option] = str(path if "/" not in name else path.parent)
+                options[option] = str(root / Path(name).parts[0])
             else:
                 policy_file = str(path)
         return replace(self.reference, file=policy_file, options=_sort_options(options))
@@ -279,6 +277,8 @@ def parse_policy(agent: str, policy: PolicyLike, trust: bool = False) -> PolicyR
             raise OptionError(f"{agent} must be a {agent}'s policy, got {policy.name} of the {policy.agent}")
         if not extra:
             return policy
+        if isinstance(policy.pickled and unpickle(policy.pickled), Policy):
+            raise OptionError(f"options must be passed with a class, got an instance of {policy.name}; pass the class")
         options = _sort_options(dict(policy.options) | dict(extra))
         return replace(policy, options=options, label="", code_hash="", wait=None)
     if isinstance(policy, str):

@@ -79,6 +79,7 @@ def test_reports_state_the_inference_time(folders: dict[float | None, Path], tmp
     assert row["inference_time"] == stored["inference_time"] == str(LATE)
     assert float(row["late_s"]) == stored["fluency"]["late_s"]["mean"] == stored["episodes"][0]["late_s"] > 0.0
     assert stored["fluency"]["early_grab"]["n"] == 1
+    assert "late s" in str(handover_marl.compare(folder, folder))
     compared = str(handover_marl.compare(folder, folders[None]))
     assert f"Inference time differs: {LATE} and 0 (the person waits)." in compared
     same = {key: value for key, value in OPTIONS.items() if key not in ("giver", "receiver")}

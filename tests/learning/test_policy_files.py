@@ -34,6 +34,7 @@ from handover_marl.policies.batch import ArrayPolicyBatch, make_policy_batch
 from handover_marl.policies.reference import parse_policy
 from tests.helpers.tensors import make_device_tensors, make_observe_function
 from tests.learning.array_encodings import CONTEXT, COUNT, ROWS, SCHEMES, draw_observation, select
+from tests.learning.custom import FirstJoint
 
 RAN = "HANDOVER_MARL_TEST_CODE_RAN"
 
@@ -220,6 +221,16 @@ def test_a_batch_waits_as_the_option_says(tmp_path: Path) -> None:
     observation = draw_observation(0) | {"time": np.full((COUNT, 1), 0.6, dtype=np.float32)}
     acted, waited = (one.act(ROWS, functools.partial(select, observation), 0 * ROWS)[0] for one in (batch, usual))
     assert (acted != waited).any(axis=1).sum() > COUNT // 2
+
+
+def test_own_action_schemes_wait_as_the_option_says() -> None:
+    class Late(FirstJoint):
+        wait = 2.0
+
+    policy = handover_marl.as_receiver(lambda observation: np.zeros(1), action_scheme=Late, name="late")
+    made: Any = parse_policy("receiver", (policy, {"wait": 0.5})).make(SyntheticDataset())
+    made.allocate(2, NUMPY_ARRAYS)
+    assert [made.wait, *(scheme.wait for scheme in made.scheme._schemes)] == [0.5, 0.5, 0.5]
 
 
 def test_outputs_that_are_not_finite_are_refused(tmp_path: Path) -> None:

@@ -19,13 +19,29 @@ from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import DataNotFoundError, PolicyError, ResultsError
 from handover_marl.policies import hashing
 from handover_marl.policies.hashing import hash_object, hash_policy
-from handover_marl.policies.populations import POPULATION_FOLDER
+from handover_marl.policies.populations import POPULATION_FOLDER, TRAIN, Partner, format_population
 from handover_marl.policies.reference import PolicyBundle, parse_policy
 from handover_marl.receivers.baselines import HoldReceiver
 from handover_marl.version import __version__
 from tests.evaluation.quick import SHORT
 
 WEIGHTS = np.arange(3.0)
+
+
+NAMED = """
+from handover_marl.givers import Giver, make_giver_action
+from handover_marl.learning.custom_encodings import declare_size
+
+@declare_size(1)
+def count(observation):
+    return [{number}]
+
+class Mine(Giver):
+    name = "mine"
+    def reset(self, seed=None): ...
+    def act(self, observation):
+        return make_giver_action(rate={number} / 10)
+"""
 
 
 class Weighted(HoldReceiver):
@@ -38,6 +54,15 @@ class Weighted(HoldReceiver):
         super().__init__(context)
         self._target = np.load(weights) if weights else None
         self._state = state
+
+
+class Late(HoldReceiver):
+    """Receiver that reads its file only when it acts."""
+
+    name, file_options = "late", ("weights",)
+
+    def __init__(self, context: Any = None, weights: Any = "") -> None:
+        super().__init__(context)
 
 
 def use_weights(value: float) -> float:
@@ -63,6 +88,9 @@ class Linear:
         return self.slope * value
 
 
+SLOPES = [Linear(1.0), Linear(2.0)]
+
+
 @pytest.mark.parametrize(
     ("first", "second"),
     [
@@ -74,6 +102,8 @@ class Linear:
         (lambda: functools.partial(make(1.0), power=1), lambda: functools.partial(make(1.0), power=3)),
         (lambda: make(1.0, {"weights": np.zeros(2)}), lambda: make(1.0, {"weights": np.ones(2)})),
         (lambda: Path("a"), lambda: Path("b")),
+        (lambda: eval("lambda: [0.1, 0.2, 0.3]"), lambda: eval("lambda: [0.5, 0.2, 0.3]")),
+        (lambda: {"all": SLOPES, "used": SLOPES[0]}, lambda: {"all": SLOPES, "used": SLOPES[1]}),
     ],
 )
 def test_values_differ(first: Callable[[], Any], second: Callable[[], Any]) -> None:
@@ -81,7 +111,9 @@ def test_values_differ(first: Callable[[], Any], second: Callable[[], Any]) -> N
     assert hash_object(first()) != hash_object(second())
 
 
-@pytest.mark.parametrize("function", [use_weights, use_helper, lambda value: use_helper(value)])
+@pytest.mark.parametrize(
+    "function", [use_weights, use_helper, lambda value: use_helper(value), lambda: [WEIGHTS[n] for n in range(2)]]
+)
 def test_variables_of_the_module_count_where_they_are_used(function: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     before, other = hash_object(function), hash_object(make)
     monkeypatch.setitem(globals(), "WEIGHTS", np.arange(4.0))
@@ -125,6 +157,24 @@ def test_code_without_a_file_gets_another_hash_every_time() -> None:
     exec("def act(value):\n    return value\nclass Typed:\n    pass", vars(module))
     for value in (module.act, module.Typed, module.Typed()):
         assert hash_object(value) != hash_object(value)
+
+
+def test_code_that_files_name_is_hashed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Features of a policy and members of a population that are named as `module:name` count with their code."""
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    population = tmp_path / "mine.json"
+    population.write_text(format_population("mine", "1", "", [Partner("a", "a", TRAIN, "named_code:Mine", "")], []))
+    found = []
+    for number in (1, 2):
+        (tmp_path / "named_code.py").write_text(NAMED.format(number=number))
+        sys.modules.pop("named_code", None)
+        importlib.invalidate_caches()
+        function = handover_marl.as_receiver(max, features="named_code:count", action_scheme="joint_delta", name="a")
+        options = {"population": str(population)}
+        giver = parse_policy("giver", ("population", options), trust=True)
+        found.append([each.resolve(SyntheticDataset()).code_hash for each in (function, giver)])
+    assert not set(found[0]) & set(found[1])
 
 
 @pytest.mark.slow
@@ -171,6 +221,22 @@ class Reads(HoldReceiver):
         self.names = [path.name, *(file.name for file in files if path.is_dir())]
         self.constant = sum(float(file.read_text()) for file in files)
         self.other = other
+
+
+@pytest.mark.parametrize("kind", [str, Path])
+def test_files_of_folders_and_paths_are_hashed(tmp_path: Path, kind: Callable[[Path], Any]) -> None:
+    file = tmp_path / "here" / "deep" / "weights.txt"
+    file.parent.mkdir(parents=True)
+    hashes = set()
+    for content in ("1", "2"):
+        file.write_text(content)
+        for named in (file, file.parent.parent):
+            reference = parse_policy("receiver", (Late, {"weights": kind(named)}))
+            hashes.add((named, reference.resolve(SyntheticDataset()).code_hash))
+            (tmp_path / "there").mkdir(exist_ok=True)
+            given = dict(PolicyBundle.pack(reference).unpack(tmp_path / "there").options)["weights"]
+            assert [path.read_text() for path in [Path(given), *Path(given).rglob("*")] if path.is_file()] == [content]
+    assert len(hashes) == 4
 
 
 @pytest.mark.parametrize("folder", [False, True])

@@ -9,6 +9,7 @@ approach differs between methods and is always reported: after a short wait the 
 from dataclasses import dataclass
 
 from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP
+from handover_marl.evaluation.config import REPLAY
 from handover_marl.evaluation.metadata import OFFICIAL_WORLD, ResultMetadata
 
 
@@ -74,6 +75,7 @@ PUBLISHED = {
 
 
 def find_published_results(metadata: ResultMetadata) -> tuple[PublishedResult, ...]:
-    """Return the published results that were measured with the scenes, physics and rules of an evaluation."""
-    identity = (metadata.split, metadata.dataset, metadata.physics, metadata.world, metadata.inference_time)
-    return PUBLISHED.get(metadata.setup, ()) if identity == ("test", "dexycb", "exact", OFFICIAL_WORLD, "") else ()
+    """Return the published results that were measured with the scenes, giver, physics and rules of an evaluation."""
+    identity = (metadata.split, metadata.dataset, metadata.giver, metadata.physics, metadata.world)
+    is_official = identity == ("test", "dexycb", REPLAY, "exact", OFFICIAL_WORLD) and not metadata.inference_time
+    return PUBLISHED.get(metadata.setup, ()) if is_official else ()

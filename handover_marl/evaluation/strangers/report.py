@@ -49,7 +49,7 @@ Array = npt.NDArray[np.float64]
 #: Function from the rates (partners,) with the partners to a number, such as `np.min` for the worst partner.
 Statistic = Callable[[Array], np.floating]
 ENTRY_FILE, TABLES_FILE = "strangers.json", "strangers.md"
-_CONDITION = ("dataset", "setup", "split", "physics", "seed", "world", "version")
+_CONDITION = ("dataset", "setup", "split", "physics", "missing_package", "seed", "world", "version")
 _MAX_BYTES = 1_000_000
 #: Agent of the partners, by the agent of the evaluated policies.
 OTHER_AGENT = {"receiver": "giver", "giver": "receiver"}
@@ -296,13 +296,19 @@ def estimate_mean_score(scores: Array, families: Sequence[str] | None, minus: Ar
     The jackknife leaves out policies, scenes and families of partners one at a time, or partners if there is one
     family. `families` has the family of each partner; with None, no partner is left out, as for the worst partner.
     With the scores of another method, `minus`, the difference of the means is estimated, paired by partner and scene;
-    the numbers of policies may differ.
+    the numbers of policies may differ. Its interval is at least as wide as that of Agresti and Min (2005).
     """
 
     def compute(own: Array, *others: Array) -> float:
         return float(own.mean() - sum(other.mean() for other in others))
 
     value, error, quantile = _apply_jackknife(compute, [scores] if minus is None else [scores, minus], families)
+    if minus is None and scores.size == 1:
+        return Estimate(value, None, 1)
+    if minus is not None:
+        gains = scores.mean(axis=0) - minus.mean(axis=0)
+        n = gains.size + 2
+        error = max(error, float(np.sqrt((gains**2).sum() + 1.0 - gains.sum() ** 2 / n)) / n)
     low, high = value - quantile * error, value + quantile * error
     return Estimate(value, (max(0.0 if minus is None else -1.0, low), min(1.0, high)), scores.size)
 

@@ -16,7 +16,7 @@ from handover_marl.execution.options import check_boolean
 from handover_marl.execution.tasks import pickle_by_value
 from handover_marl.learning.adapters.export import is_sb3_model
 from handover_marl.learning.adapters.function_policy import FunctionPolicy, TorchFunction
-from handover_marl.learning.custom_encodings import FeaturesLike, SchemeLike
+from handover_marl.learning.custom_encodings import FeaturesLike, SchemeLike, is_reference
 from handover_marl.learning.encodings import check_encodings, list_features
 from handover_marl.learning.policy_files import (
     OBSERVATION,
@@ -123,6 +123,7 @@ def _adapt(
         ) from error
     # Modules of PyTorch's own layers do not depend on its build.
     packages = {"" if isinstance(function, DenseNetwork) else find_package(policy)} - {"", "torch"}
+    packages |= {one.partition(":")[0].partition(".")[0] for one in (spec.features, spec.actions) if is_reference(one)}
     return PolicyReference(agent, name or stem, pickled, packages=tuple(packages))
 
 

@@ -15,12 +15,14 @@ from handover_marl.errors import OptionError
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, ArrayFactory, to_numpy
 from handover_marl.learning.adaptive_giver import OFFER_FEATURES
 from handover_marl.learning.array_features import ArrayFeatures
-from handover_marl.learning.custom_encodings import CustomScheme
+from handover_marl.learning.custom_encodings import FEATURES, CustomScheme, is_reference
 from handover_marl.learning.encodings import list_features, make_array_features, make_array_scheme
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
 from handover_marl.learning.policy_files import OBSERVATION, DenseNetwork, PolicySpec, read_policy
 from handover_marl.policies.batch import ArrayPolicy
+from handover_marl.policies.hashing import hash_object
 from handover_marl.policies.policy import PolicyContext, milliseconds_from_wait
+from handover_marl.policies.registry import import_reference
 
 _MEANING = "inputs of its action scheme"
 
@@ -34,7 +36,7 @@ class FunctionPolicy(ArrayPolicy):
         spec: Agent, and encoding of inputs and outputs.
         name: Name of the policy in tables and errors.
         label: Unique label of the policy in result files.
-        digest: Hash of function, weights and encoding, which becomes `weights_hash`.
+        digest: Hash of function, weights and encoding, which starts `weights_hash`.
         wait: Time for which the robot stays at its waiting pose at the start of an episode (s);
             default: that of the action scheme. Only action schemes that wait have this option.
 
@@ -42,7 +44,8 @@ class FunctionPolicy(ArrayPolicy):
         function: Function from inputs to outputs.
         scheme: Action scheme that decodes the outputs.
         spec: Agent, and encoding of inputs and outputs.
-        label, weights_hash: Unique label of the policy in result files, and `digest`.
+        label: Unique label of the policy in result files.
+        weights_hash: `digest`, and a hash of the code of features and action scheme that `spec` names as `module:name`.
     """
 
     label, weights_hash = "", ""
@@ -59,7 +62,9 @@ class FunctionPolicy(ArrayPolicy):
     ) -> None:
         super().__init__(context)
         self.name = name  # type: ignore[misc]
-        self.obs_mode, self.label, self.weights_hash = spec.obs_mode, label, digest
+        self.obs_mode, self.label = spec.obs_mode, label
+        encodings = [import_reference(FEATURES, one) for one in (spec.features, spec.actions) if is_reference(one)]
+        self.weights_hash = digest + (hash_object(encodings)[:16] if encodings else "")
         self.function, self.spec, self._wait = function, spec, wait
         self.allocate(1, NUMPY_ARRAYS)
         if isinstance(function, DenseNetwork):
@@ -214,7 +219,7 @@ class TorchFunction:
 
 
 def reset_function(function: object, seed: int | None) -> None:
-    """Call a function's own method `reset(seed)` or `reset()`, if it has one.
+    """Call a function's own method `reset`, if it has one, with the seed if the method has an argument for it.
 
     Without the parameter `seed`, the method of a PyTorch module is not called, since it may reset the parameters.
     """
@@ -222,10 +227,19 @@ def reset_function(function: object, seed: int | None) -> None:
     if not callable(reset):
         return
     parameters = inspect.signature(reset).parameters
+    required = [part for part in parameters.values() if part.default is part.empty]
     if "seed" in parameters:
         reset(seed=seed)
-    elif not parameters and not hasattr(function, "state_dict"):
+    elif hasattr(function, "state_dict"):
+        return
+    elif any(part.kind is part.VAR_KEYWORD for part in parameters.values()):
+        reset(seed=seed)
+    elif not required:
         reset()
+    elif len(required) == 1 and required[0].kind is not required[0].KEYWORD_ONLY:
+        reset(seed)
+    else:
+        raise OptionError(f"reset of {function!r} must have at most the argument seed, got {', '.join(parameters)}")
 
 
 class LearnedPolicy(FunctionPolicy):

@@ -34,7 +34,10 @@ _UNRECORDED_ARGUMENTS = ("out", "data_dir", "resume")
 
 
 def spawn_seeds(count: int, *entropy: int) -> list[int]:
-    """Return `count` 32-bit seeds derived from `entropy`, e.g. a run's seed; other `entropy` gives unrelated seeds."""
+    """Return `count` 32-bit seeds derived from `entropy`, e.g. a run's seed.
+
+    Other `entropy` gives unrelated seeds, unless it differs only by zeros at its end.
+    """
     return [int(seed) for seed in np.random.SeedSequence(entropy).generate_state(count)]
 
 
@@ -45,7 +48,9 @@ def describe_origin(script: str, arguments: object, *omitted: str) -> str:
     return f"experiments/training/{script}.py {', '.join(parts)}"
 
 
-def open_run_folder(path: Path, args: object, resume: bool, dataset: str, mutable_args: Sequence[str] = ()) -> Path:
+def open_run_folder(
+    path: Path, args: object, resume: bool, dataset: str, mutable_args: Sequence[str] = (), **hashes: str
+) -> Path:
     """Make the folder of a training run with its arguments, or check that it holds this run; return its path.
 
     Args:
@@ -55,9 +60,10 @@ def open_run_folder(path: Path, args: object, resume: bool, dataset: str, mutabl
             and, without `resume`, if there is a run.
         dataset: Name of the dataset, to which "auto" was resolved.
         mutable_args: Names of further arguments that may change when a run is resumed.
+        hashes: Hashes of policies and files that the arguments name, by name.
     """
     recorded = {key: value for key, value in vars(args).items() if key not in (*_MUTABLE_ARGS, *mutable_args)}
-    text = json.dumps(recorded | {"dataset": dataset}, indent=1, default=repr)
+    text = json.dumps(recorded | {"dataset": dataset} | hashes, indent=1, default=repr)
     file = path / _ARGUMENTS
     if resume and not file.exists():
         raise ResultsError(f"{path} holds no run to continue; leave out --resume, or pass the run's folder as --out")

@@ -80,7 +80,8 @@ def test_the_text_states_what_was_evaluated() -> None:
 
 
 @pytest.mark.parametrize(
-    "settings", [{"split": "val"}, {"dataset": "synthetic"}, {"physics": "fast"}, {"world": "0123abcd"}]
+    "settings",
+    [{"split": "val"}, {"dataset": "synthetic"}, {"physics": "fast"}, {"world": "0123abcd"}, {"giver": "cooperative"}],
 )
 def test_published_rows_only_with_comparable_results(settings: dict[str, str]) -> None:
     assert "published:" not in str(report(1, 2, **settings))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from handover_marl.evaluation.reports.tables import compute_wilson_interval
+from handover_marl.evaluation.reports.tables import compute_wilson_interval, estimate_paired_difference
 from handover_marl.evaluation.strangers.report import estimate_mean_score, estimate_rate
 
 
@@ -75,7 +75,14 @@ def test_differences_are_paired_by_scene() -> None:
     first = np.round(np.random.default_rng(0).random((1, 4, 30)), 3)
     found = estimate_mean_score(first + 0.1, ["a", "a", "b", "b"], first)
     assert found.mean == pytest.approx(0.1)
-    assert found.interval_95 == pytest.approx((0.1, 0.1))
+    assert found.interval_95 == pytest.approx((0.1, 0.1), abs=0.02)
+
+
+def test_equal_methods_have_an_interval_of_their_difference() -> None:
+    flags = np.ones((1, 1, 36))
+    found = estimate_mean_score(flags, ["a"], flags).interval_95
+    assert found == pytest.approx(estimate_paired_difference([True] * 36, [True] * 36).interval_95, abs=0.01)
+    assert estimate_mean_score(np.ones((1, 1, 1)), ["a"]).interval_95 is None
 
 
 def test_intervals_of_a_single_partner_are_those_of_student() -> None:

@@ -3,6 +3,7 @@
 import functools
 import pickle
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,8 @@ import pytest
 import handover_marl
 from handover_marl import receivers
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.errors import HandoverError
+from handover_marl.errors import HandoverError, OptionError
+from handover_marl.learning.adapters.function_policy import reset_function
 from handover_marl.learning.encodings import make_scheme
 from handover_marl.policies.policy import Policy, make_policy_context
 from handover_marl.policies.reference import PolicyReference
@@ -110,6 +112,30 @@ def test_random_numbers_of_modules_come_from_the_seed() -> None:
 def test_invalid_policies(policy: Any, options: dict[str, Any], fault: str) -> None:
     with pytest.raises(HandoverError, match=fault):
         make("receiver", policy, **options).act(seen())
+
+
+class WithReset:
+    def __init__(self, reset: Callable[..., None]) -> None:
+        self.seeds: list[Any] = []
+        self.reset = functools.partial(reset, self)
+
+
+@pytest.mark.parametrize(
+    ("reset", "seeds"),
+    [
+        (lambda self: self.seeds.append(None), [None]),
+        (lambda self, seed=None: self.seeds.append(seed), [7]),
+        (lambda self, **keywords: self.seeds.append(keywords["seed"]), [7]),
+        (lambda self, options=None: self.seeds.append(options), [None]),
+        (lambda self, episode_seed: self.seeds.append(episode_seed), [7]),
+    ],
+)
+def test_functions_are_reset(reset: Callable[..., None], seeds: list[Any]) -> None:
+    function = WithReset(reset)
+    reset_function(function, 7)
+    assert function.seeds == seeds
+    with pytest.raises(OptionError, match="at most the argument seed, got a, b"):
+        reset_function(WithReset(lambda self, a, b: None), 7)
 
 
 def hash_of(policy: Any, **options: Any) -> str:

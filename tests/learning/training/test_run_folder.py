@@ -43,6 +43,9 @@ def test_only_the_same_run_is_resumed(tmp_path: Path) -> None:
     ):
         with pytest.raises(ResultsError, match=fault):
             open_run_folder(path, args, resume, dataset)
+    open_run_folder(path, Args(), True, "synthetic")
+    with pytest.raises(ResultsError, match="other arguments \\(expert_hash\\)"):
+        open_run_folder(path, Args(), True, "synthetic", expert_hash="b")
     arguments = json.loads((path / "arguments.json").read_text())
     assert (arguments["seed"], arguments["rates"]) == (0, [0.1, 0.2])
     with pytest.raises(ResultsError, match="holds no run to continue"):
