@@ -3,14 +3,14 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import handover_marl
-from handover_marl import EvaluationConfig, ExecutionConfig, HandoverEnv
+from handover_marl import EvaluationConfig, ExecutionConfig
 from handover_marl.envs.config import EnvConfig
 from handover_marl.envs.constructors import single_agent_env
 
@@ -70,10 +70,3 @@ def test_constructors_show_every_field_of_the_configuration(function: Callable[.
     assert shown.keys() == expected.keys() | own
     for name, part in expected.items():
         assert (shown[name].default, shown[name].annotation) == (part.default, part.annotation), name
-
-
-def test_a_configuration_stands_alone() -> None:
-    config = EnvConfig(dataset="synthetic", scenes=iter([5, 6]))
-    env = HandoverEnv(config)
-    assert env.config == replace(config, setup="s0")
-    assert env.scene_ids == config.scenes == (5, 6)

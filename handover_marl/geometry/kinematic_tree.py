@@ -256,11 +256,7 @@ class TreeBatch:
         self._levels: Sequence[tuple[AnyArray, AnyArray]] = ()
 
     def add(self, urdf: Path) -> int:
-        """Copy a model to the device, unless it is there; return its number.
-
-        Raises:
-            OptionError: The model has other joints than the first one.
-        """
+        """Copy a model to the device, unless it is there; return its number; it must have the joints of the first."""
         key = urdf, urdf.stat().st_mtime_ns
         if key not in self._numbers:
             self._numbers[key] = self._add(urdf)

@@ -56,15 +56,6 @@ class Weighted(HoldReceiver):
         self._state = state
 
 
-class Late(HoldReceiver):
-    """Receiver that reads its file only when it acts."""
-
-    name, file_options = "late", ("weights",)
-
-    def __init__(self, context: Any = None, weights: Any = "") -> None:
-        super().__init__(context)
-
-
 def use_weights(value: float) -> float:
     return float(WEIGHTS.sum()) * value
 
@@ -217,36 +208,20 @@ class Reads(HoldReceiver):
 
     def __init__(self, context: Any, weights: str, other: str = "") -> None:
         path = Path(weights)
-        files = sorted(path.iterdir()) if path.is_dir() else [path]
+        files = [file for file in sorted(path.rglob("*")) if file.is_file()] if path.is_dir() else [path]
         self.names = [path.name, *(file.name for file in files if path.is_dir())]
         self.constant = sum(float(file.read_text()) for file in files)
         self.other = other
 
 
-@pytest.mark.parametrize("kind", [str, Path])
-def test_files_of_folders_and_paths_are_hashed(tmp_path: Path, kind: Callable[[Path], Any]) -> None:
-    file = tmp_path / "here" / "deep" / "weights.txt"
-    file.parent.mkdir(parents=True)
-    hashes = set()
-    for content in ("1", "2"):
-        file.write_text(content)
-        for named in (file, file.parent.parent):
-            reference = parse_policy("receiver", (Late, {"weights": kind(named)}))
-            hashes.add((named, reference.resolve(SyntheticDataset()).code_hash))
-            (tmp_path / "there").mkdir(exist_ok=True)
-            given = dict(PolicyBundle.pack(reference).unpack(tmp_path / "there").options)["weights"]
-            assert [path.read_text() for path in [Path(given), *Path(given).rglob("*")] if path.is_file()] == [content]
-    assert len(hashes) == 4
-
-
-@pytest.mark.parametrize("folder", [False, True])
-def test_files_go_along(tmp_path: Path, folder: bool) -> None:
+@pytest.mark.parametrize(("kind", "folder"), [(str, False), (Path, False), (str, True), (Path, True)])
+def test_files_go_along(tmp_path: Path, kind: Callable[[Path], Any], folder: bool) -> None:
     given = tmp_path / "here" / "weights.txt"
-    given.parent.mkdir()
+    (given.parent / "deep").mkdir(parents=True)
     given.write_text("1.5")
-    (given.parent / "more.txt").write_text("2.0")
+    (given.parent / "deep" / "more.txt").write_text("2.0")
     named = given.parent if folder else given
-    reference = parse_policy("receiver", (Reads, {"weights": str(named), "other": str(given)}))
+    reference = parse_policy("receiver", (Reads, {"weights": kind(named), "other": str(given)}))
     reference = reference.resolve(SyntheticDataset())
     bundle = PolicyBundle.pack(reference)
     shutil.rmtree(given.parent)
