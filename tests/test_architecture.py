@@ -105,12 +105,3 @@ def test_only_some_packages_import_an_engine(engine: str, packages: set[str]) ->
     pattern = re.compile(rf"^\s*(import|from) {engine}\b", re.MULTILINE)
     users = {name.rpartition(".")[0] for name, path in find_modules().items() if pattern.search(path.read_text())}
     assert users == {f"handover_marl.{package}" for package in packages}
-
-
-def test_a_class_name_means_one_thing() -> None:
-    homes = defaultdict(list)
-    for name, path in find_modules().items():
-        for node in ast.parse(path.read_text()).body:
-            if isinstance(node, ast.ClassDef) and not node.name.startswith("_") and node.name != "Args":
-                homes[node.name].append(name)
-    assert {name: places for name, places in homes.items() if len(places) > 1} == {}

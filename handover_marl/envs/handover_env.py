@@ -24,7 +24,7 @@ from handover_marl.envs.rewards import StepData
 from handover_marl.envs.transition import Transition, TransitionRecorder
 from handover_marl.episode.camera_observations import CameraCapture
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import EpisodeAgent, EpisodePolicy
+from handover_marl.episode.loop import EpisodeAgent, EpisodePolicy, derive_seed
 from handover_marl.episode.observations import (
     Observation,
     add_episode_axis,
@@ -230,7 +230,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         started = time.monotonic()
         # If the simulation fails below, no episode is running.
         self.agents = []
-        self._advance({RECEIVER: robot_target, GIVER: giver_action})
+        applied = self._advance({RECEIVER: robot_target, GIVER: giver_action})
         self._cycles += 1
         if self.render_mode == "human":
             # The window shows real time.
@@ -243,7 +243,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         infos = self._make_infos()
         transition = self._recorder.record(
             observations,
-            {GIVER: giver_action, RECEIVER: robot_target},
+            applied,
             infos=infos,
             contacts=self._episode.contacts,
             status=status,
@@ -342,6 +342,9 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
             ResetNeededError: No episode has been started.
         """
         self._partner = EpisodeAgent(self._episode, agent, policy, seed)
+        # Cameras that have been observed must not change.
+        if agent == RECEIVER and not has_camera(self.config.obs_mode):
+            self._episode.seed_camera(derive_seed(seed, "camera"))
 
     def act_for_partner(self) -> Action:
         """Return the action of the policy that `set_partner` has set, at the present physics step.
@@ -361,16 +364,22 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
     def _end_episode(self) -> None:
         self.agents, self._observation, self._partner = [], None, None
 
-    def _advance(self, actions: dict[str, Action]) -> None:
-        """Simulate one control period with actions by agent; a partner's policy decides at its own control period."""
-        episode, partner, actions = self._episode, self._partner, dict(actions)
-        end = episode.steps + self.config.control_steps
+    def _advance(self, actions: dict[str, Action]) -> dict[str, Action]:
+        """Simulate one control period with actions by agent; a partner's policy decides at its own control period.
+
+        Returns the actions in effect at the start of the period.
+        """
+        episode, partner = self._episode, self._partner
+        if partner is not None:
+            actions = {**actions, partner.agent: partner.act()}
+        first, end = actions, episode.steps + self.config.control_steps
         while episode.steps < end and not episode.status:
             until = end
             if partner is not None:
-                actions[partner.agent] = partner.act()
+                actions = {**actions, partner.agent: partner.act()}
                 until = min(end, partner.next_decision_step)
             episode.advance(actions[RECEIVER], until - episode.steps, actions[GIVER])
+        return first
 
     def _observe(self) -> Observations:
         state = self._observation = self._episode.observe()

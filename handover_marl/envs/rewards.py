@@ -215,6 +215,8 @@ class RewardWeights:
                 check_name("reward term", name, TERMS)
                 if not is_finite_number(weight):
                     raise OptionError(f"weight of term {name!r} of the {agent} must be a finite number, got {weight!r}")
+            # A copy, which the caller does not change.
+            object.__setattr__(self, agent, dict(weights))
         if not is_finite_number(self.gamma) or not 0.0 <= self.gamma <= 1.0:
             raise OptionError(f"gamma of RewardWeights must be a number from 0 to 1, got {self.gamma!r}")
 
@@ -254,7 +256,7 @@ class WeightedRewardSource:
     """
 
     def __init__(self, weights: RewardWeights, goal: tuple[float, ...], count: int, arrays: ArrayFactory) -> None:
-        self._weights: dict[str, Mapping[str, float]] = {agent: getattr(weights, agent) for agent in AGENTS}
+        self._weights: dict[str, Mapping[str, float]] = {agent: dict(getattr(weights, agent)) for agent in AGENTS}
         self._names = {name for own in self._weights.values() for name in own}
         self._needs_state, self._needs_forces = bool(self._names - _OUTCOMES), bool(self._names & _FORCES)
         self._xp, self._goal, self._gamma = arrays.xp, arrays.asarray(goal, "float64"), weights.gamma

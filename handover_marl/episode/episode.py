@@ -93,15 +93,19 @@ class Episode:
         n_objects = len(self.scene.info.object_ids)
         target = robot_target.tolist()
         sensors = [sensor for sensor in self._sensors.values() if sensor.has_latency]
-        if requests_release(giver_action) and motion.holding[0] and not referee.released:
-            referee.release_voluntarily()
-            world.release_target()
+        is_requested = bool(requests_release(giver_action))
         while steps > 0 and not referee.status:
+            if is_requested and motion.holding[0] and not referee.released:
+                referee.release_voluntarily()
+                world.release_target()
             planned = min(steps, PLANNED_STEPS)
             is_opening = referee.release_reason is ReleaseReason.VOLUNTARY
-            plan = motion.plan(
-                ONLY_ROW, planned, giver_action[None], np.array([referee.released]), np.array([is_opening])
-            )
+            flags = np.array([referee.released]), np.array([is_opening])
+            plan = motion.plan(ONLY_ROW, planned, giver_action[None], *flags)
+            if is_requested and 0 < (until := int(motion.count_steps_until_pick_up(plan)[0])) < planned:
+                # The release takes effect when the object is picked up, however the steps are divided.
+                planned = until
+                plan = motion.plan(ONLY_ROW, planned, giver_action[None], *flags)
             world.set_reference(plan.reference.select(0, n_objects))
             steps -= planned
             simulated = None if on_step or sensors else self._simulate_rollout(world, target, planned)

@@ -78,17 +78,22 @@ class EpisodeBatch:
             steps: Number of physics steps (1 ms).
             giver_actions: (r, 8) deviations from the recordings, see `giver_action_space`.
         """
-        referees, rules = self.referees, self.config.protocol
-        held = rows[requests_release(giver_actions) & self.motion.holding[rows]]
-        held = held[referees.release_reason[held] < 0]
-        referees.release_reason[held], referees.release_step[held] = _VOLUNTARY, referees.steps[held]
-        self._worlds.release_targets(held)
-        for first in range(0, steps, PLANNED_STEPS):
-            if not len(rows):
-                break
-            states, planned = referees.select_rows(rows), min(steps - first, PLANNED_STEPS)
+        referees, rules, motion = self.referees, self.config.protocol, self.motion
+        while steps > 0 and len(rows):
+            requested = requests_release(giver_actions)
+            held = rows[requested & motion.holding[rows]]
+            held = held[referees.release_reason[held] < 0]
+            referees.release_reason[held], referees.release_step[held] = _VOLUNTARY, referees.steps[held]
+            self._worlds.release_targets(held)
+            states, planned = referees.select_rows(rows), min(steps, PLANNED_STEPS)
             reasons = states.release_reason
-            plan = self.motion.plan(rows, planned, giver_actions, reasons >= 0, reasons == _VOLUNTARY)
+            plan = motion.plan(rows, planned, giver_actions, reasons >= 0, reasons == _VOLUNTARY)
+            # Releases take effect when the object is picked up, however the steps are divided.
+            until = motion.count_steps_until_pick_up(plan)[requested]
+            if len(until := until[(until > 0) & (until < planned)]):
+                planned = int(until.min())
+                plan = motion.plan(rows, planned, giver_actions, reasons >= 0, reasons == _VOLUNTARY)
+            steps -= planned
             judge = make_judge(states, rules)
             self.motion.commit(plan, self._worlds.rollout(rows, plan.reference, robot_targets, judge, rules))
             referees.assign_rows(rows, states)

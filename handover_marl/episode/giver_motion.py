@@ -273,6 +273,11 @@ class GiverMotion:
         )
         return PlannedMotion(rows, reference, states)
 
+    def count_steps_until_pick_up(self, motion: PlannedMotion) -> AnyIntegers:
+        """Count, for each of the givers of a planned motion, the planned steps before it holds the object, (r,)."""
+        rows = motion.rows
+        return count_steps_until_pick_up(self._pick_up[rows], self.state.frame[rows], motion.states.frame)
+
     def commit(self, motion: PlannedMotion, steps: AnyIntegers) -> None:
         """Advance the playback by the planned steps that were simulated.
 

@@ -169,8 +169,7 @@ class EpisodeAgent:
     """Policy that acts for one agent in one episode at its own control period, and the action that it holds.
 
     The policy's seed is derived from the seed of the run: `derive_giver_seed` for a giver, `derive_receiver_seed` for a
-    receiver, whose `reset` is called at its first decision. For a receiver, the random draws of the cameras are seeded,
-    too.
+    receiver, whose `reset` is called at its first decision.
 
     Args:
         episode: Episode at the start of a scene.
@@ -204,8 +203,6 @@ class EpisodeAgent:
         self._giver_space, self._objects = giver_action_space(episode.config.giver), episode.scene.info.object_names
         if self._is_giver:
             start_policy(policy, derive_giver_seed(seed, episode.scene.info.scene_id), self._objects)
-        else:
-            episode.seed_camera(derive_seed(seed, "camera"))
 
     @property
     def observes(self) -> bool:
@@ -283,7 +280,8 @@ def run_episode(
         Number of physics steps that passed during calls of the receiver.
     """
     horizon = episode.config.protocol.horizon_steps
-    end = min(until, horizon) if isinstance(until, int) else horizon
+    end = horizon if until is None or callable(until) else min(int(until), horizon)
+    episode.seed_camera(derive_seed(seed, "camera"))
     robot = EpisodeAgent(episode, "receiver", receiver, seed, inference_time)
     person = None if giver is None else EpisodeAgent(episode, "giver", giver, seed)
     # The giver acts first.

@@ -56,7 +56,7 @@ class SceneConfig:
         # Iterators can be read only once. Other types are reported by `choose_scenes`, where the split is known.
         if isinstance(self.scenes, Iterable):
             object.__setattr__(self, "scenes", tuple(self.scenes))
-        if isinstance(self.cameras, list):
+        if isinstance(self.cameras, Iterable) and not isinstance(self.cameras, str):
             object.__setattr__(self, "cameras", tuple(self.cameras))
 
     @property

@@ -37,14 +37,12 @@ MakeWriter: TypeAlias = Callable[[Path, EvaluationConfig], EpisodeWriter]
 _SHARD = re.compile(r"(\d{1,4})/(\d{1,4})")
 
 
-_OTHER_RULES = "use evaluate_pair for results that are not official"
-
-
-@forward_signature(
-    EvaluationConfig,
-    ExecutionConfig,
-    without={"giver": _OTHER_RULES, "world_config": _OTHER_RULES, "inference_time": _OTHER_RULES},
+_NOT_OFFICIAL = dict.fromkeys(
+    ("giver", "world_config", "inference_time"), "use evaluate_pair for results that are not official"
 )
+
+
+@forward_signature(EvaluationConfig, ExecutionConfig, without=_NOT_OFFICIAL)
 def benchmark(
     setup: str | None = None, split: str = "test", receiver: PolicyLike = "yang2021", **options: Any
 ) -> Report:

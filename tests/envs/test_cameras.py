@@ -199,6 +199,22 @@ def test_a_period_repeats_images() -> None:
 def test_wrong_cameras_are_refused(cameras: Any, error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
         handover_marl.parallel_env(dataset="synthetic", cameras=cameras)
+    assert handover_marl.EvaluationConfig(cameras=iter(["wrist"])).cameras == ("wrist",)
+
+
+def test_partners_do_not_change_cameras() -> None:
+    images: list[Any] = []
+
+    def look(transition: Any) -> dict[str, Any]:
+        images[:] = [one["receiver"]["front_depth"] for one in (transition.observations, transition.next_observations)]
+        return {"receiver": {"none": 0.0}, "giver": {}}
+
+    options: dict[str, Any] = {"obs_mode": "state+depth", "cameras": ("front",), "physics": "mujoco", "rewards": look}
+    options["camera_randomization"] = handover_marl.CameraRandomization(position=0.05)
+    env = handover_marl.control_agent(handover_marl.parallel_env(dataset="synthetic", **options), "giver", "hold")
+    env.reset(seed=0)
+    env.step({"giver": np.zeros(8)})
+    assert np.mean(images[0] != images[1]) < 0.2
 
 
 @pytest.mark.slow

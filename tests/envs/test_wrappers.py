@@ -157,6 +157,7 @@ def test_rewards_add_up_until_the_next_decision() -> None:
     _, infos = env.reset(seed=0, options={"scene_id": 9})
     before = infos["giver"]["steps"]
     assert 1000 <= before <= 2500
+    assert not any(value for key, value in infos["giver"].items() if key.startswith("reward/"))
     _, rewards, ended, timed_out, infos = env.step({"giver": np.zeros(7, np.float32)})
     assert (ended["giver"], timed_out["giver"], infos["giver"]["steps"]) == (False, True, 4000)
     terms = [value for key, value in infos["giver"].items() if key.startswith("reward/")]
@@ -170,6 +171,24 @@ def test_rewards_add_up_until_the_next_decision() -> None:
     assert total < -0.01
     env.close()
     world.close()
+
+
+class _Repeats(BaseParallelWrapper):
+    def step(self, actions: Any) -> Any:
+        return [super(_Repeats, self).step(actions) for _ in range(3)][-1]
+
+
+def test_transitions_have_the_actions_that_were_applied() -> None:
+    rates = []
+
+    def note(transition: Any) -> dict[str, Any]:
+        rates.append(float(transition.actions["giver"][0]) if transition.next_state["time"] > 0 else None)
+        return {"receiver": {"none": 0.0}, "giver": {}}
+
+    env = control_agent(_Repeats(parallel_env(**SYNTHETIC, rewards=note)), "receiver", "noisy")
+    env.reset(seed=0)
+    env.step({"receiver": np.zeros(9)})
+    assert len(set(rates)) == 4, "each control period has another action"
 
 
 @pytest.mark.parametrize(

@@ -10,9 +10,11 @@ from handover_marl import receivers
 from handover_marl.config import OFFICIAL_CONFIG
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
+from handover_marl.episode.episode_batch import EpisodeBatch
 from handover_marl.episode.giver_motion import NO_DEVIATION
 from handover_marl.episode.observations import PROPRIOCEPTION
 from handover_marl.episode.referee import EpisodeStatus, ReleaseReason
+from handover_marl.simulation.engines import BatchBackend
 from handover_marl.simulation.world import NO_POINTS, World
 
 DATASET = SyntheticDataset()
@@ -22,6 +24,8 @@ START = np.array(OFFICIAL_CONFIG.physics.panda.start_joints, dtype=np.float32)
 HELD = 2800
 RELEASE = NO_DEVIATION.copy()
 RELEASE[-1] = 1.0
+FASTER = NO_DEVIATION.copy()
+FASTER[0] = 1.0
 
 
 @pytest.fixture
@@ -92,6 +96,31 @@ def test_voluntary_release(episode: Episode) -> None:
     assert not episode.observe_giver(episode.observe())["deviation"].any()
     episode.advance(START, 2000)
     assert episode.status == EpisodeStatus.OBJECT_DROP
+
+
+@pytest.mark.slow
+def test_a_requested_release_is_at_the_pick_up_however_steps_are_divided() -> None:
+    batch, rows = EpisodeBatch(OFFICIAL_CONFIG, 1, BatchBackend()), np.array([0])
+    found = []
+    for period in (70, 500):
+        for single in (Episode("mujoco"), None):
+            (batch if single is None else single).reset(*((SCENE,) if single else (0, SCENE)))
+            for _ in range(1500 // period):
+                if single is None:
+                    batch.advance(rows, START[None], period, (RELEASE + FASTER)[None])
+                else:
+                    single.advance(START, period, RELEASE + FASTER)
+            found.append(int(batch.referees.release_step[0]) if single is None else single.release_step)
+    assert len(set(found)) == 1, found
+
+
+def test_quaternions_have_the_signs_of_exact_physics() -> None:
+    poses = []
+    for physics in ("exact", "fast", "mujoco"):
+        episode = Episode(physics)
+        episode.reset(DATASET.load_scene(835))
+        poses.append(episode.observe()["object_poses"])
+    np.testing.assert_allclose(poses[1:], [poses[0]] * 2, atol=1e-5)
 
 
 def test_observation_of_a_policy_has_its_mode(episode: Episode) -> None:

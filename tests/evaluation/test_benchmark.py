@@ -53,14 +53,6 @@ def test_options_are_checked_and_stated(fake_data: Path, tmp_path: Path) -> None
             call()
 
 
-def test_pairs_are_evaluated_on_val_by_default() -> None:
-    options: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "scenes": [105]}
-    with pytest.raises(SceneError, match="scene 105 is not in s0 val"):
-        handover_marl.evaluate_pair("replay", "hold", **options)
-    with pytest.raises(SceneError, match="scene 105 is not in s0 test"):
-        handover_marl.evaluate_pair("replay", "hold", split="test", **options)
-
-
 @pytest.mark.slow
 def test_results_are_official_files(fake_data: Path, tmp_path: Path) -> None:
     report = run(fake_data, tmp_path)

@@ -196,14 +196,6 @@ def test_cooperation_comes_towards_the_robot_and_turns_the_object_to_the_gripper
     np.testing.assert_allclose(action[4:7], [0.0, 0.0, 0.8], atol=1e-6)
 
 
-def test_cooperation_holds_still_once_the_gripper_is_near() -> None:
-    giver = make("cooperative")
-    first = giver.act(seen())
-    near = np.float32([0.6, 0.1, 1.2, 0, 0, 0, 1])
-    for gripper in (near, np.float32([0.5, -0.3, 1.0, 0, 0, 0, 1])):
-        np.testing.assert_array_equal(giver.act(seen(gripper_pose=gripper)), first)
-
-
 def test_cooperation_lets_go_of_what_is_held_firmly_and_draws_back() -> None:
     giver = make("cooperative")
     near = np.float32([0.6, 0.2, 1.2, 0, 0, 0, 1])

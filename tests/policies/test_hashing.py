@@ -16,14 +16,13 @@ import pytest
 import handover_marl
 from handover_marl.datasets import open_dataset
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.errors import DataNotFoundError, PolicyError, ResultsError
+from handover_marl.errors import DataNotFoundError, PolicyError
 from handover_marl.policies import hashing
 from handover_marl.policies.hashing import hash_object, hash_policy
 from handover_marl.policies.populations import POPULATION_FOLDER, TRAIN, Partner, format_population
 from handover_marl.policies.reference import PolicyBundle, parse_policy
 from handover_marl.receivers.baselines import HoldReceiver
 from handover_marl.version import __version__
-from tests.evaluation.quick import SHORT
 
 WEIGHTS = np.arange(3.0)
 
@@ -166,23 +165,6 @@ def test_code_that_files_name_is_hashed(tmp_path: Path, monkeypatch: pytest.Monk
         giver = parse_policy("giver", ("population", options), trust=True)
         found.append([each.resolve(SyntheticDataset()).code_hash for each in (function, giver)])
     assert not set(found[0]) & set(found[1])
-
-
-@pytest.mark.slow
-def test_results_of_other_weights_are_not_mixed(tmp_path: Path) -> None:
-    weights = tmp_path / "w.npy"
-    policy, options = (Weighted, {"weights": str(weights)}), {"workers": 1, "progress": False, "world_config": SHORT}
-
-    def evaluate(*scenes: int) -> handover_marl.Report:
-        where = {"dataset": "synthetic", "physics": "fast", "split": "val", "out": tmp_path / "out"}
-        return handover_marl.evaluate_pair("replay", policy, scenes=scenes, **where, **options)
-
-    np.save(weights, np.zeros(9))
-    evaluate(9)
-    assert evaluate(9, 14).n_resumed == 1
-    np.save(weights, np.ones(9))
-    with pytest.raises(ResultsError, match="receiver hash"):
-        evaluate(9, 14, 19)
 
 
 CODE = """

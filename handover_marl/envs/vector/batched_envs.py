@@ -275,8 +275,9 @@ class BatchedEnvGroup:
                 break
         else:
             raise make_no_outputs_error(self._agents[0])
-        result = episodes.make_result(self.arrays.asarray(self._current[rows]))
-        return result._replace(rewards={agent: self.arrays.zeros(len(rows)) for agent in self._agents})
+        current = self.arrays.asarray(self._current[rows])
+        episodes.clear_rewards(current)
+        return episodes.make_result(current)
 
     def step(self, rows: Indices, actions: ByAgent) -> EnvResult:
         """Let the agents act for one control period, or until a scheme needs outputs; see `batch.EnvGroup.step`."""

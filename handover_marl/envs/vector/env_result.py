@@ -56,12 +56,6 @@ def merge_results(count: int, row_results: Sequence[tuple[Indices, EnvResult]]) 
     return EnvResult(*(_merge(count, [(rows, result[k]) for rows, result in placed]) for k in range(5)))
 
 
-def copy_containers(result: EnvResult) -> EnvResult:
-    """Return a result with new dictionaries but the same arrays, since callers (TorchRL) change the dictionaries."""
-    copied: EnvResult = _select(result, slice(None))
-    return copied
-
-
 def select_rows(values: Any, rows: Indices | int) -> Any:
     """Return nested dictionaries and tuples of arrays with only some rows of each array; an int selects one row."""
     return _select(values, rows if isinstance(rows, int) else move_to_device(rows, values))

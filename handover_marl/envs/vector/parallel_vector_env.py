@@ -15,7 +15,6 @@ from handover_marl.envs.vector.env_result import (
     EnvGroup,
     EnvResult,
     check_action_array,
-    copy_containers,
     make_final_infos,
     mask_infos,
     merge_results,
@@ -122,6 +121,8 @@ class ParallelVectorEnv:
         rows = np.flatnonzero(chosen)
         seeds = _spread_seeds(seed, self.num_envs)
         with self._use_envs():
+            if self._latest is None and not chosen.all():
+                raise ResetNeededError("the first reset must be of all environments; leave out reset_mask")
             is_running, self._is_running = self._is_running or bool(chosen.all()), False
             row_results = [(rows, self._envs.reset(rows, [seeds[row] for row in rows.tolist()], others or None))]
             if self._latest is not None and not chosen.all():
@@ -129,7 +130,8 @@ class ParallelVectorEnv:
             result = merge_results(self.num_envs, row_results)
             infos = {agent: mask_infos(own, chosen, self._arrays) for agent, own in result.infos.items()}
             self._is_running, self._ended[rows] = is_running, False
-        self._latest = copy_containers(result)
+        # A copy, since callers change arrays and dictionaries.
+        self._latest = select_rows(result, np.arange(self.num_envs))
         return result.observations, infos
 
     def step(self, actions: ByAgent) -> EnvResult:
@@ -181,7 +183,7 @@ class ParallelVectorEnv:
                 for agent, own in result.infos.items()
             }
             self._is_running = True
-        self._latest = copy_containers(result)
+        self._latest = select_rows(result, np.arange(count))
         return result._replace(infos=infos)
 
     def camera_info(self) -> dict[str, CameraInfo]:

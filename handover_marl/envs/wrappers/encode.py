@@ -136,6 +136,8 @@ class EncodedEnv(ParallelWrapper):
             while self._can_skip():
                 self._observations, _, _, _, infos = self._advance()
             if self.agents:
+                for info in infos.values():
+                    info.update({key: 0.0 for key in info if key.startswith(REWARD_PREFIX)})
                 return self._compute_features(), infos
         raise make_no_outputs_error(self.possible_agents[0])
 

@@ -1,5 +1,6 @@
 """Base class of the environment's wrappers, simple wrappers, and a Gymnasium adapter for one agent."""
 
+import copy
 from collections.abc import Sequence
 from typing import Any, Literal, TypeAlias
 
@@ -32,6 +33,7 @@ class ParallelWrapper(BaseParallelWrapper, EzPickle):  # type: ignore[misc]
     """
 
     metadata: dict[str, Any] = dict(HandoverEnv.metadata)
+    __copy__ = copy.deepcopy  # a copy has a simulation of its own
 
     def __init__(self, env: WrappableEnv, agents: Sequence[str] | None = None) -> None:
         check_env(env)
@@ -83,6 +85,7 @@ class SingleAgentEnv(gymnasium.Env[Any, Any], EzPickle):
     """
 
     metadata: dict[str, Any] = dict(HandoverEnv.metadata)
+    __copy__ = copy.deepcopy  # a copy has a simulation of its own
 
     def __init__(self, env: ParallelWrapper) -> None:
         EzPickle.__init__(self, env)

@@ -35,15 +35,10 @@ from handover_marl.simulation.engines import FAST
 DEFAULT_N_SCENES = 36
 
 
-_OTHER_RULES = "use crossplay for other conditions"
+_OTHERS = dict.fromkeys(("world_config", "inference_time", "shard"), "use crossplay for other conditions")
 
 
-@forward_signature(
-    EvaluationConfig,
-    ExecutionConfig,
-    without={"world_config": _OTHER_RULES, "inference_time": _OTHER_RULES, "shard": _OTHER_RULES},
-    defaults={"physics": FAST},
-)
+@forward_signature(EvaluationConfig, ExecutionConfig, without=_OTHERS, defaults={"physics": FAST})
 def strangers(
     receiver: Sequence[PolicyLike] | PolicyLike | None = None,
     giver: Sequence[PolicyLike] | PolicyLike | None = None,

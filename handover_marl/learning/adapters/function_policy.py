@@ -228,17 +228,13 @@ def reset_function(function: object, seed: int | None) -> None:
         return
     parameters = inspect.signature(reset).parameters
     required = [part for part in parameters.values() if part.default is part.empty]
-    if "seed" in parameters:
+    has_keywords = any(part.kind is part.VAR_KEYWORD for part in required)
+    is_module = hasattr(function, "state_dict")
+    if "seed" in parameters or (has_keywords and not is_module):
         reset(seed=seed)
-    elif hasattr(function, "state_dict"):
-        return
-    elif any(part.kind is part.VAR_KEYWORD for part in parameters.values()):
-        reset(seed=seed)
-    elif not required:
-        reset()
-    elif len(required) == 1 and required[0].kind is not required[0].KEYWORD_ONLY:
-        reset(seed)
-    else:
+    elif not is_module and len(required) < 2:
+        reset(*[seed][: len(required)])
+    elif not is_module:
         raise OptionError(f"reset of {function!r} must have at most the argument seed, got {', '.join(parameters)}")
 
 

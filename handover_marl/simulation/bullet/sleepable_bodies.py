@@ -104,6 +104,9 @@ class SleepableObject(BodyTrajectory):
             return self.body.read_pose()
         poses = self._tree.compute_link_poses(self.get_joints(row)[None], [len(self._tree.joints) - 1])
         pose: npt.NDArray[np.float32] = poses[0, 0].astype(np.float32)
+        # Of q and -q, Bullet returns the one with a positive w if the trace of the matrix is positive.
+        if pose[6] < -0.5:
+            pose[3:] *= -1.0
         return pose
 
 

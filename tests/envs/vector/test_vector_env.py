@@ -324,6 +324,8 @@ def test_the_answer_to_an_interrupted_call_is_dropped() -> None:
 @pytest.mark.parametrize("workers", [{"threads": 2}, {"processes": 2}], ids=str)
 def test_errors_are_raised_and_resets_work(workers: dict[str, int]) -> None:
     envs = handover_marl.vector_env(3, "giver", Failing, **workers, **SHORT)
+    with pytest.raises(ResetNeededError, match="first reset must be of all"):
+        envs.reset(options={"reset_mask": np.array([True, False, True])})
     envs.reset(seed=0)
     still = np.zeros((3, 8), np.float32)
     with pytest.raises(ActionError, match="not finite"):
@@ -402,6 +404,9 @@ def test_malformed_resets_change_nothing(three: HandoverVectorEnv, arguments: di
     three.step(STILL)[0].clear()
     after, *_ = three.step(STILL)
     np.testing.assert_allclose(after["time"], 0.2, atol=1e-6)
+    after["time"] *= 100.0
+    masked, _ = three.reset(options={"reset_mask": np.array([True, False, False])})
+    np.testing.assert_allclose(masked["time"][1:], 0.2, atol=1e-6)
 
 
 def test_vector_environments_cannot_be_copied(three: HandoverVectorEnv) -> None:
