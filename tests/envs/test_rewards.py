@@ -236,7 +236,6 @@ def test_terms_of_tensors_equal_those_of_arrays() -> None:
 def test_wrong_weights_are_named(weights: dict[str, Any], error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
         RewardWeights(**weights)
-    given = {"time": 1.0}
-    chosen = RewardWeights(given)
+    chosen = RewardWeights(given := {"time": 1.0})
     given["time"] = 2.0
     assert chosen.receiver == {"time": 1.0}

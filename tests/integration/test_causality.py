@@ -14,10 +14,11 @@ from handover_marl.datasets import open_dataset
 from handover_marl.datasets.dataset import Dataset, Scene
 from handover_marl.episode import camera_observations
 from handover_marl.episode.camera_observations import SensorConfig
-from handover_marl.episode.episode import Episode, SceneConfig
+from handover_marl.episode.episode import Episode
 from handover_marl.episode.giver_motion import NO_DEVIATION
 from handover_marl.episode.loop import derive_robot_seed, run_episode
 from handover_marl.episode.observations import Observation
+from handover_marl.episode.scene_config import SceneConfig
 from handover_marl.episode.spaces import OBS_PARTS
 from handover_marl.geometry.panda import PANDA, PANDA_CAMERA
 from handover_marl.policies.policy import Giver, Policy, make_policy_context
