@@ -264,9 +264,9 @@ class WithdrawingGiver(ArrayGiver):
         away = observation["hand_keypoints"][:, 0] - observation["gripper_pose"][:, :3]
         distance = widen(compute_lengths(away))
         speed = (state["last_distance"][rows] - distance) / self.control_period
-        state["last_distance"][rows] = distance
-        # Before the second decision the speed is nan, which is not above the limit.
+        # Before the second decision with a hand, the speed is nan, which is not above the limit.
         is_present = observation["hand_present"][:, 0] != 0.0
+        state["last_distance"][rows] = xp.where(is_present, distance, math.nan)
         withdraws = is_present & (distance < config.max_distance) & (speed > config.max_speed)
         until = xp.where(withdraws, now + config.return_after, state["until"][rows])
         withdrawal = compute_withdrawals(observation, config.withdrawal)
