@@ -82,18 +82,21 @@ def format_object_files(
     parts: Iterable[tuple[Array, Faces]],
     mass: float = MASS,
     friction: float = FRICTION,
+    center: Sequence[float] | None = None,
 ) -> dict[str, bytes | str]:
-    """Return the files of an object by name: meshes, colors and URDF (mass in kg), which has six base joints.
+    """Return the files of an object by name: meshes, colors and URDF, which has six base joints.
 
     `colored` are the meshes to draw: color name, vertices (v, 3) in m and faces (f, 3). `parts` are the vertices and
-    faces of the convex parts for collisions.
+    faces of the convex parts for collisions. `mass` (kg) is at `center` (3,) in m; None is the origin, as of YCB.
     """
     names = {"visual": VISUAL_NAME, "collision": COLLISION_NAME}
+    values: Any = {"mass": mass, "friction": friction}
+    values["center"] = "" if center is None else " ".join(f"{value:.6f}" for value in center)
     return {
         COLLISION_NAME: format_convex_parts(parts),
         VISUAL_NAME: _format_visual(colored),
         **{name: (OBJECTS_ROOT / "025_mug" / name).read_bytes() for name in ("palette.png", "palette.mtl")},
-        URDF_NAME: render_template(TEMPLATES_PACKAGE, "object.urdf", **names, mass=mass, friction=friction),
+        URDF_NAME: render_template(TEMPLATES_PACKAGE, "object.urdf", **names, **values),
     }
 
 

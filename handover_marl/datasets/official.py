@@ -31,7 +31,13 @@ from handover_marl.datasets.dataset import TABLE_HEIGHT, Dataset, Scene, SceneAs
 from handover_marl.datasets.restricted_pickle import load_restricted
 from handover_marl.errors import DataNotFoundError
 from handover_marl.execution.options import check_path
-from handover_marl.execution.reading import check_plain_file, read_arrays, read_plain_file, report_damage
+from handover_marl.execution.reading import (
+    cached_by_file,
+    check_plain_file,
+    read_arrays,
+    read_plain_file,
+    report_damage,
+)
 from handover_marl.geometry.model_files.urdf import list_mesh_references
 from handover_marl.geometry.panda import PANDA, PANDA_CAMERA
 from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES
@@ -215,7 +221,7 @@ class OfficialDataset(Dataset):
         self._info = lru_cache(maxsize=None)(
             lambda scene_id: _read_scene_info(self._find_meta_file(scene_id), scene_id)
         )
-        self._load_grasps = lru_cache(maxsize=None)(load_grasps)
+        self._load_grasps = cached_by_file(None)(load_grasps)
         self._origin = lru_cache(maxsize=None)(lambda path: find_origin(self._assets, path))
         self._hand_origin = lru_cache(maxsize=None)(lambda name: find_hand_origin(self._assets / name))
 

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from handover_marl.execution.reading import cached_by_file
 from handover_marl.geometry.array_cache import Arrays, get_cache_path, load_cached_arrays, save_cached_arrays
 from handover_marl.geometry.model_files.meshes import read_collision_mesh
+from handover_marl.geometry.model_files.urdf import read_model_mtimes
 
 Floats = npt.NDArray[np.float32]
 Array = npt.NDArray[np.float64]
@@ -99,7 +100,7 @@ def _differentiate_trilinear(corners: Floats, fraction: Floats) -> Floats:
     return np.stack(gradient)
 
 
-@cached_by_file(maxsize=32)
+@cached_by_file(32, read_model_mtimes)
 def load_object_sdf(urdf: Path, margin: float) -> DistanceField:
     """Load the signed distance field of an object's collision shapes from the cache, or compute and cache it.
 

@@ -163,11 +163,12 @@ def draw_wrist_view(episode: Episode, camera: CameraConfig) -> Picture:
     frame = episode.capture_wrist_camera()
     depth = np.clip(255.0 * (1.0 - frame.depth / WRIST_CAMERA.far), 0.0, 255.0).astype(np.uint8)
     images = (frame.rgb, np.stack([depth] * 3, axis=-1), _PALETTE[frame.segmentation])
-    side = camera.width // len(images)
-    strip = np.full((side, camera.width, 3), 255, dtype=np.uint8)
+    width = camera.width // len(images)
+    height = max(1, round(width * depth.shape[0] / depth.shape[1]))
+    strip = np.full((height, camera.width, 3), 255, dtype=np.uint8)
     for number, image in enumerate(images):
-        resized = Image.fromarray(image).resize((side, side), Image.Resampling.NEAREST)
-        strip[:, number * side : (number + 1) * side] = np.asarray(resized)
+        resized = Image.fromarray(image).resize((width, height), Image.Resampling.NEAREST)
+        strip[:, number * width : (number + 1) * width] = np.asarray(resized)
     picture: Picture = np.concatenate([episode.render(camera), strip])
     # H.264 videos need an even number of pixels a side.
     return picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2]

@@ -20,6 +20,7 @@ from handover_marl.execution.options import require_modules
 from handover_marl.execution.reading import cached_by_file
 from handover_marl.geometry.kinematic_tree import compute_link_trajectory, read_tree
 from handover_marl.geometry.model_files.meshes import VisualMesh, read_visual_meshes
+from handover_marl.geometry.model_files.urdf import read_model_mtimes
 from handover_marl.geometry.panda import FINGER_LINKS, GRIPPER_OUTLINE, HAND_LINK
 from handover_marl.geometry.poses import IDENTITY, poses_from_rotations, transform_points
 from handover_marl.simulation.camera.images import LABEL_COLORS, JointSnapshot, SegmentationLabel
@@ -328,7 +329,7 @@ def _compute_body(
         yield LinkTrajectory(f"{name}/{mesh.link + 1}", label, mesh, poses, present)
 
 
-@cached_by_file(maxsize=64)
+@cached_by_file(64, read_model_mtimes)
 def load_simplified_meshes(urdf: Path, max_faces: int = _MAX_FACES) -> tuple[VisualMesh, ...]:
     """Return the visual meshes of a model's links with at most `max_faces` triangles each; cached."""
     # Imported only here, because they are optional dependencies.

@@ -186,12 +186,6 @@ def test_impossible_configurations(folder: ResultFolder, section: str, key: str,
             load_report(folder.path)
 
 
-def test_a_file_of_a_result_folder_is_not_the_folder(folder: ResultFolder) -> None:
-    (folder.path / "report.json").write_text("{}")
-    with pytest.raises(ResultsError, match=f"pass the folder {folder.path}"):
-        load_report(folder.path / "report.json")
-
-
 @pytest.mark.parametrize("text", ["", "[1]", "x: [", "SIM: [1]"])
 def test_malformed_configurations(folder: ResultFolder, text: str) -> None:
     (folder.path / "config.yaml").write_text(text)

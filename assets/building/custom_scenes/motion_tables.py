@@ -19,7 +19,7 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import interp1d
+from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, Slerp
 
 from handover_marl.assets.hand_model import HandGeometry
@@ -44,6 +44,7 @@ _PARTS: Final = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _MAX_BYTES = 200_000_000
 _MAX_NORM_ERROR = 0.02  # of quaternions
 _ROUNDING = 1e-9  # of differences of times (s)
+_MIN_STEP = 0.2  # smallest distance of rows in time, divided by the median
 
 
 @dataclass(frozen=True)
@@ -292,7 +293,7 @@ def _make_table(arrays: Mapping[str, Any], config: MotionConfig) -> MotionTable:
 def _read_time(time: Array, config: MotionConfig, repairs: list[str]) -> Array:
     """Return times from 0 (s); note short gaps, which are interpolated later, in `repairs`.
 
-    Times that do not increase, a duration out of range or a gap over `max_gap` raise a `ValueError`.
+    Times that do not increase or nearly coincide, a duration out of range or a gap over `max_gap` raise a `ValueError`.
     """
     if time.ndim != 1 or len(time) < 2:
         raise ValueError(f"time must have shape (T,) with at least 2 rows, got shape {time.shape}")
@@ -314,6 +315,12 @@ def _read_time(time: Array, config: MotionConfig, repairs: list[str]) -> Array:
         raise ValueError(
             f"the gap between rows {row + 1} and {row + 2} must be at most {config.max_gap:g} s (max_gap), "
             f"got {steps[row]:.3g} s; record again or raise max_gap"
+        )
+    if steps.min() < _MIN_STEP * float(np.median(steps)):
+        row = int(np.argmin(steps))
+        raise ValueError(
+            f"rows must be at least {_MIN_STEP:g} times their usual distance in time apart, got {steps[row]:.3g} s "
+            f"between rows {row + 1} and {row + 2}: splines through them would jump; remove one of the rows"
         )
     if steps.max() > 1.5 * float(np.median(steps)):
         repairs.append(f"gaps of up to {steps.max():.3g} s between rows interpolated")
@@ -359,7 +366,7 @@ def _fill_gaps(key: str, poses: Array, time: Array, first: int, config: MotionCo
             f"for {gaps[longest]:.3g} s; gaps must be at most max_gap={config.max_gap:g} s. Record it again "
             "or raise max_gap"
         )
-    filled = interp1d(time[valid], poses[valid, :3], axis=0)(time)
+    filled = CubicSpline(time[valid], poses[valid, :3])(time)
     turns = Slerp(time[valid], Rotation.from_quat(poses[valid, 3:]))(time)
     repairs.append(f"{key}: {len(missing)} rows without a pose interpolated")
     return np.where(is_valid[:, None], poses, np.concatenate([filled, turns.as_quat()], axis=1))

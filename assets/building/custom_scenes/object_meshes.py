@@ -105,7 +105,8 @@ def make_object_mesh(source: Path | trimesh.Trimesh, config: MeshConfig) -> Obje
 def write_object(folder: Path, item: ObjectMesh, config: MeshConfig) -> None:
     """Write the URDF and the meshes of an object into an existing folder."""
     colored, parts = [(config.color, *_canonicalize(item.mesh))], map(_canonicalize, item.parts)
-    for name, content in format_object_files(colored, parts, item.mass, config.friction).items():
+    center = np.average([part.center_mass for part in item.parts], axis=0, weights=[part.volume for part in item.parts])
+    for name, content in format_object_files(colored, parts, item.mass, config.friction, center.tolist()).items():
         write_atomically(folder / name, content)
 
 

@@ -10,7 +10,6 @@ The motion of scene N is in `motion/00000N.npz`, in the world frame at 1 kHz:
 """
 
 import hashlib
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -29,9 +28,9 @@ from handover_marl.datasets.official import (
 )
 from handover_marl.datasets.splits import SPLITS
 from handover_marl.errors import DataFormatError, DataNotFoundError, UnknownNameError, check_name
-from handover_marl.execution.reading import read_arrays, read_plain_file, report_damage
+from handover_marl.execution.reading import cached_by_file, read_arrays, read_plain_file, report_damage
 from handover_marl.geometry.model_files.meshes import read_collision_mesh
-from handover_marl.geometry.model_files.urdf import list_mesh_references
+from handover_marl.geometry.model_files.urdf import list_mesh_references, read_model_mtimes
 from handover_marl.geometry.panda import PANDA
 from handover_marl.geometry.ycb import CLASS_NAMES
 
@@ -63,8 +62,8 @@ class CustomDataset(Dataset):
         self.name, self.object_names = f"own:{self.content.name}", self.content.object_names
         self.n_scenes, self.setups = len(self.content.scenes), (ALL_SCENES, *self.content.setups)
         self._numbers = {name: number for number, name in self.object_names.items()}
-        self._hash_model = lru_cache(maxsize=None)(_hash_model)
-        self._read_grasps = lru_cache(maxsize=None)(self._load_grasps)
+        self._hash_model = cached_by_file(None, read_model_mtimes)(_hash_model)
+        self._read_grasps = cached_by_file(None)(_load_grasps)
 
     def list_scenes(self, setup: str | None, split: str) -> tuple[int, ...]:
         """Return the scene numbers of a split in ascending order.
@@ -122,7 +121,7 @@ class CustomDataset(Dataset):
         """Load robot grasps of an object class: gripper poses (n, 4, 4) in the object's frame (m), or None."""
         if object_name in CLASS_NAMES.values():
             return super().load_grasps(object_name)
-        grasps = self._read_grasps(object_name)
+        grasps = self._read_grasps(self.folder / OBJECT_FOLDER / object_name / GRASP_FILE)
         return None if grasps is None else grasps.copy()
 
     def compute_fingerprint(self, scene_id: int) -> str:
@@ -143,11 +142,11 @@ class CustomDataset(Dataset):
         hand = self.content.scenes[info.scene_id].hand or 1
         return self.find_assets(info, find_hand_urdf(hand, "left" if info.side == "left" else "right"))
 
-    def _load_grasps(self, object_name: str) -> Array | None:
-        path = self.folder / OBJECT_FOLDER / object_name / GRASP_FILE
-        with report_damage(path, "grasp file", _ADVICE):
-            grasps = check_grasps(read_arrays(path, ("grasps",))["grasps"])
-        return grasps if len(grasps) else None
+
+def _load_grasps(path: Path) -> Array | None:
+    with report_damage(path, "grasp file", _ADVICE):
+        grasps = check_grasps(read_arrays(path, ("grasps",))["grasps"])
+    return grasps if len(grasps) else None
 
 
 def _hash_model(urdf: Path) -> bytes:

@@ -115,6 +115,8 @@ def parse_generated_config(argument: str) -> GeneratedConfig:
     for entry in argument.split(","):
         name, _, text = (word.strip() for word in entry.partition("="))
         check_name("parameter of generated scenes", name, defaults)
+        if name in values:
+            raise OptionError(f"parameters of generated scenes must have different names, got {name!r} twice")
         try:
             values[name] = type(defaults[name])(text)
         except ValueError as error:

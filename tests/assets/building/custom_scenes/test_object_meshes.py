@@ -9,8 +9,11 @@ import pytest
 import trimesh
 
 from handover_marl.assets.building.custom_scenes import CustomSceneFolder, MeshConfig
-from handover_marl.assets.building.custom_scenes.object_meshes import make_object_mesh
+from handover_marl.assets.building.custom_scenes.object_meshes import make_object_mesh, write_object
+from handover_marl.assets.shipped import URDF_NAME
 from handover_marl.errors import DataFormatError
+from handover_marl.geometry.kinematic_tree import read_tree
+from handover_marl.geometry.model_files.urdf import read_urdf_links
 from tests.helpers.custom_scenes import make_box
 
 ROUGH: dict[str, Any] = {"concavity": 1.0}
@@ -74,11 +77,14 @@ def test_units_are_applied_when_they_are_given(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_convex_parts_cover_a_body_with_a_hole() -> None:
-    ring = trimesh.creation.annulus(0.03, 0.05, 0.02)
+def test_convex_parts_cover_a_body_with_a_hole(tmp_path: Path) -> None:
+    ring = trimesh.creation.annulus(0.03, 0.05, 0.02).apply_translation([0.0, 0.0, 0.1])
     item = make_object_mesh(ring, MeshConfig(concavity=0.1))
     assert len(item.parts) > 3
     assert sum(part.volume for part in item.parts) == pytest.approx(ring.volume, rel=0.2)
+    write_object(tmp_path, item, MeshConfig())
+    center = read_urdf_links(tmp_path / URDF_NAME, read_tree(tmp_path / URDF_NAME))[5].center
+    assert center == pytest.approx((0.0, 0.0, 0.1), abs=2e-3), "the mass is in the middle, not at the origin"
 
 
 @pytest.mark.parametrize("content", [b"", b"no mesh", b"\x00" * 84])
