@@ -20,6 +20,7 @@ from handover_marl.episode.spaces import STATE, has_camera
 from handover_marl.errors import ResetNeededError, check_name
 from handover_marl.geometry.arrays import ONLY_ROW
 from handover_marl.geometry.model_files.meshes import check_collision_meshes
+from handover_marl.geometry.panda import HAND_LINK
 from handover_marl.simulation.engines import check_physics, make_world
 from handover_marl.simulation.world import Contacts, World
 
@@ -33,6 +34,10 @@ class Episode:
         config: Simulated world, protocol and limits of the giver.
         window: Whether to show PyBullet's window.
         sensors: Configuration of the cameras, whose images are rendered only when they are observed.
+
+    Attributes:
+        config: Simulated world, protocol and limits of the giver.
+        has_wrist_camera: Whether the camera "wrist" exists, and is on the Panda's hand link.
     """
 
     def __init__(
@@ -48,6 +53,7 @@ class Episode:
         self._sensors = {
             camera.name: CameraSensor(sensors, physics, config.physics, camera.name) for camera in sensors.cameras
         }
+        self.has_wrist_camera = ("wrist", HAND_LINK) in [(camera.name, camera.link) for camera in sensors.cameras]
         self._world: World | None = None
         self._scene: Scene | None = None
         self._motion = GiverMotion(1, config.giver)

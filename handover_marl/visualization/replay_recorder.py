@@ -89,9 +89,9 @@ class ReplayRecorder(EpisodeCallback):
         self._record_frame(episode)
 
     def on_decision(self, episode: Episode, decision: PolicyDecision) -> None:
-        """Record the receiver's point clouds when its action takes effect, if it uses a camera."""
+        """Record the receiver's point clouds when its action takes effect, if it uses the camera on the wrist."""
         obs_mode = STATE if self._receiver is None else self._receiver.obs_mode
-        if has_camera(obs_mode) and decision.receiver_decided:
+        if has_camera(obs_mode) and decision.receiver_decided and episode.has_wrist_camera:
             clouds = _observed_clouds(episode, obs_mode)
             object_points, hand_points = (np.array(cloud[:: len(cloud) // _MAX_POINTS + 1]) for cloud in clouds)
             self.clouds.append((episode.steps, episode.world.read_joint_snapshot(), object_points, hand_points))
