@@ -76,10 +76,7 @@ class Args(SetupArgs):
             raise OptionError(f"partner must be left out with method {self.method}, got {self.partner!r}")
 
     def open_folder(self, name: str, mutable_args: tuple[str, ...], **hashes: str) -> Path:
-        """Make the folder `name` in `out`, or check that only `mutable_args` of its arguments differ; return it.
-
-        `hashes` are as for `open_run_folder`.
-        """
+        """Make the folder `name` in `out`, or check it if it exists; return it; see `open_run_folder`."""
         path = self.out / name
         return open_run_folder(path, self, path.exists(), self.open_dataset().name, mutable_args, **hashes)
 

@@ -176,10 +176,3 @@ class ExecutionArguments(ExecutionConfig):
 
     def __post_init__(self) -> None:
         """Do nothing: commands check the values."""
-
-
-@dataclass(frozen=True)
-class WholeExecutionArguments(ExecutionArguments):
-    """Options that configure workers and output, without shards."""
-
-    shard: _Hidden[str | None] = None

@@ -15,7 +15,6 @@ from handover_marl.cli.options import (
     SceneArguments,
     TableArguments,
     Trust,
-    WholeExecutionArguments,
 )
 from handover_marl.cli.streams import print_tables
 from handover_marl.config import CameraConfig
@@ -27,8 +26,7 @@ from handover_marl.evaluation.rendering import render_scene
 from handover_marl.evaluation.strangers.protocol import strangers
 from handover_marl.simulation.engines import FAST
 
-_EXECUTION, _WHOLE_EXECUTION = ExecutionArguments(), WholeExecutionArguments()
-_VAL_PAIR, _VAL_SCENES = PairArguments(split="val"), SceneArguments(split="val")
+_EXECUTION, _VAL_PAIR, _VAL_SCENES = ExecutionArguments(), PairArguments(split="val"), SceneArguments(split="val")
 _STRANGERS, _TABLES = OfficialSceneArguments(physics=FAST), TableArguments()
 _Point = Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")]
 _Policies = Annotated[tuple[str, ...], tyro.conf.arg(metavar="POLICY [POLICY ...]")]
@@ -77,7 +75,7 @@ def run_strangers(
     partners: Literal["train", "test", "all"] = "test",
     n_scenes: int = 36,
     evaluation: OfficialSceneArguments = _STRANGERS,
-    execution: WholeExecutionArguments = _WHOLE_EXECUTION,
+    execution: ExecutionArguments = _EXECUTION,
     tables: TableArguments = _TABLES,
 ) -> None:
     """Evaluate a receiver, or a giver, with unseen partners from a population.

@@ -369,17 +369,16 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
 
         Returns the actions in effect at the start of the period.
         """
-        episode, partner = self._episode, self._partner
-        if partner is not None:
-            actions = {**actions, partner.agent: partner.act()}
-        first, end = actions, episode.steps + self.config.control_steps
+        episode, partner, applied = self._episode, self._partner, list[dict[str, Action]]()
+        end = episode.steps + self.config.control_steps
         while episode.steps < end and not episode.status:
             until = end
             if partner is not None:
                 actions = {**actions, partner.agent: partner.act()}
                 until = min(end, partner.next_decision_step)
             episode.advance(actions[RECEIVER], until - episode.steps, actions[GIVER])
-        return first
+            applied.append(actions)
+        return applied[0]
 
     def _observe(self) -> Observations:
         state = self._observation = self._episode.observe()

@@ -107,12 +107,22 @@ def read_arrays(
 
 
 def read_yaml(path: Path, largest: int) -> object:
-    """Read a YAML file of at most `largest` bytes: numbers, text, lists and mappings."""
+    """Read a YAML file of at most `largest` bytes: numbers, text, lists and mappings, without aliases."""
     data = read_plain_file(path, largest)
     try:
-        return yaml.safe_load(data)
+        return yaml.load(data, _LoaderWithoutAliases)
     except Exception as error:  # PyYAML passes on errors of its constructors
         raise ValueError(shorten_text(error)) from error
+
+
+class _LoaderWithoutAliases(yaml.SafeLoader):
+    """YAML loader without aliases, with which a few lines can expand to gigabytes of text."""
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        """Return a node, see `yaml.SafeLoader`; raise an error for an alias."""
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.YAMLError("aliases are not allowed")
+        return super().compose_node(parent, index)
 
 
 @contextlib.contextmanager

@@ -179,7 +179,10 @@ def _list_parts_of_definition(value: Any) -> list[Any]:
 
 
 def _list_parts_of_code(code: CodeType, names: set[str]) -> list[Any]:
-    """Return what is hashed of the code of a function and of those in it; add the names that they use to `names`."""
+    """Return what is hashed of a function's code and of the functions defined in it; add their names to `names`.
+
+    These are the names of variables and attributes that the code reads.
+    """
     names.update(code.co_names)
     constants = [
         _list_parts_of_code(part, names) if isinstance(part, CodeType) else part

@@ -38,7 +38,7 @@ def test_yaml(tmp_path: Path) -> None:
     path = tmp_path / "a.yaml"
     path.write_text("a: {b: 1}\nb: [{b: 1}, {b: 2}]")
     assert read_yaml(path, 1000) == {"a": {"b": 1}, "b": [{"b": 1}, {"b": 2}]}
-    for text in ("a: [", "!!python/object/apply:os.getcwd []", "a: 2000-99-99"):
+    for text in ("a: [", "!!python/object/apply:os.getcwd []", "a: 2000-99-99", "a: &b [1]\nc: *b"):
         path.write_text(text)
         with pytest.raises(ValueError, match=r"Error"):
             read_yaml(path, 1000)

@@ -224,17 +224,15 @@ def reset_function(function: object, seed: int | None) -> None:
     Without the parameter `seed`, the method of a PyTorch module is not called, since it may reset the parameters.
     """
     reset = getattr(function, "reset", None)
-    if not callable(reset):
+    parameters = inspect.signature(reset).parameters if callable(reset) else {}
+    if not callable(reset) or ("seed" not in parameters and hasattr(function, "state_dict")):
         return
-    parameters = inspect.signature(reset).parameters
     required = [part for part in parameters.values() if part.default is part.empty]
-    has_keywords = any(part.kind is part.VAR_KEYWORD for part in required)
-    is_module = hasattr(function, "state_dict")
-    if "seed" in parameters or (has_keywords and not is_module):
+    if "seed" in parameters or any(part.kind is part.VAR_KEYWORD for part in required):
         reset(seed=seed)
-    elif not is_module and len(required) < 2:
+    elif len(required) < 2:
         reset(*[seed][: len(required)])
-    elif not is_module:
+    else:
         raise OptionError(f"reset of {function!r} must have at most the argument seed, got {', '.join(parameters)}")
 
 
