@@ -104,10 +104,14 @@ class Episode:
             if is_requested and motion.holding[0] and not referee.released:
                 referee.release_voluntarily()
                 world.release_target()
+            planned = min(steps, PLANNED_STEPS)
             is_opening = referee.release_reason is ReleaseReason.VOLUNTARY
             flags = np.array([referee.released]), np.array([is_opening])
-            plan = motion.plan(ONLY_ROW, min(steps, PLANNED_STEPS), giver_action[None], *flags)
-            planned = plan.n_steps
+            plan = motion.plan(ONLY_ROW, planned, giver_action[None], *flags)
+            if is_requested and 0 < (until := int(motion.count_steps_until_pick_up(plan)[0])) < planned:
+                # The release takes effect when the object is picked up, however the steps are divided.
+                planned = until
+                plan = motion.plan(ONLY_ROW, planned, giver_action[None], *flags)
             world.set_reference(plan.reference.select(0, n_objects))
             steps -= planned
             simulated = None if on_step or sensors else self._simulate_rollout(world, target, planned)

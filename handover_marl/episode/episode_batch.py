@@ -80,16 +80,22 @@ class EpisodeBatch:
         """
         referees, rules, motion = self.referees, self.config.protocol, self.motion
         while steps > 0 and len(rows):
-            held = rows[requests_release(giver_actions) & motion.holding[rows]]
+            requested = requests_release(giver_actions)
+            held = rows[requested & motion.holding[rows]]
             held = held[referees.release_reason[held] < 0]
             referees.release_reason[held], referees.release_step[held] = _VOLUNTARY, referees.steps[held]
             self._worlds.release_targets(held)
-            states = referees.select_rows(rows)
-            flags = states.release_reason >= 0, states.release_reason == _VOLUNTARY
-            plan = motion.plan(rows, min(steps, PLANNED_STEPS), giver_actions, *flags)
-            steps -= plan.n_steps
+            states, planned = referees.select_rows(rows), min(steps, PLANNED_STEPS)
+            reasons = states.release_reason
+            plan = motion.plan(rows, planned, giver_actions, reasons >= 0, reasons == _VOLUNTARY)
+            # Releases take effect when the object is picked up, however the steps are divided.
+            until = motion.count_steps_until_pick_up(plan)[requested]
+            if len(until := until[(until > 0) & (until < planned)]):
+                planned = int(until.min())
+                plan = motion.plan(rows, planned, giver_actions, reasons >= 0, reasons == _VOLUNTARY)
+            steps -= planned
             judge = make_judge(states, rules)
-            motion.commit(plan, self._worlds.rollout(rows, plan.reference, robot_targets, judge, rules))
+            self.motion.commit(plan, self._worlds.rollout(rows, plan.reference, robot_targets, judge, rules))
             referees.assign_rows(rows, states)
             running = states.status == 0
             rows, robot_targets, giver_actions = rows[running], robot_targets[running], giver_actions[running]

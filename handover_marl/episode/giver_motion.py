@@ -156,11 +156,6 @@ class PlannedMotion:
     reference: ReferenceMotion
     states: GiverState
 
-    @property
-    def n_steps(self) -> int:
-        """Number k of planned steps."""
-        return int(self.states.frame.shape[1])
-
 
 class GiverMotion:
     """Playback of one recording for each of n givers, with the deviations that their actions set.
@@ -236,26 +231,19 @@ class GiverMotion:
     ) -> PlannedMotion:
         """Return the motion of r of the givers in the next physics steps, without advancing the playback.
 
-        The motion ends early when a giver that requests the release picks up its object, so that the release does not
-        depend on how steps are divided.
-
         Args:
             rows: Indices (r,) of the givers.
-            steps: Largest number of physics steps k.
+            steps: Number of physics steps k.
             actions: (r, 8) actions of these givers.
             released: Whether each object has been released, so that it does not follow the hand, (r,).
             is_opening: Whether each hand opens after a voluntary release, (r,).
         """
         xp, state = self._arrays.xp, GiverState(*(values[rows] for values in self.state))
-        is_requested, actions = requests_release(actions) & ~released, widen(actions)
+        actions = widen(actions)
         rates, clocks = self._plan_clocks(state, actions[:, 0], steps)
         # Playback times often end in .5; they are rounded to 9 digits first, so that rounding errors do not decide.
         frames = xp.astype(xp.round(xp.round(clocks * 1e9) / 1e9), xp.int64)
         frames = xp.minimum(frames, self._last_frame[rows][:, None])
-        if _is_any_set(is_requested):
-            until = count_steps_until_pick_up(self._pick_up[rows], state.frame, frames)[is_requested]
-            if len(until := until[(until > 0) & (until < steps)]):
-                return self.plan(rows, int(until.min()), actions, released, is_opening)
         reference = self._recorded.read(rows, frames)
         progress = xp.broadcast_to(state.opening_progress[:, None], frames.shape)
         if _is_any_set(is_opening):
@@ -284,6 +272,11 @@ class GiverMotion:
             angles=xp.stack([reference.hand[..., _HALF:BASE_JOINTS], reference.objects[..., 0, _HALF:]], axis=-2),
         )
         return PlannedMotion(rows, reference, states)
+
+    def count_steps_until_pick_up(self, motion: PlannedMotion) -> AnyIntegers:
+        """Count, for each of the givers of a planned motion, the planned steps before it holds the object, (r,)."""
+        rows = motion.rows
+        return count_steps_until_pick_up(self._pick_up[rows], self.state.frame[rows], motion.states.frame)
 
     def commit(self, motion: PlannedMotion, steps: AnyIntegers) -> None:
         """Advance the playback by the planned steps that were simulated.
