@@ -26,8 +26,7 @@ PHYSICS ?= $(if $(DATA),exact,$(FASTEST))
 OUT ?= results/$(DATASET)-$(SETUP)-yang2021-$(PHYSICS)
 
 BIN := $(VENV)/bin
-# Without compiling: most modules are never imported, and Python compiles the others at their first import.
-INSTALL := -m pip --disable-pip-version-check install --no-compile --progress-bar on
+INSTALL := PYTHON="$(PYTHON)" .ci/install
 
 # The tests of a file run in one process, which makes its fixtures once; tests/conftest.py sorts the files.
 SIDE_BY_SIDE := -n auto --dist loadfile --no-loadscope-reorder
@@ -67,13 +66,8 @@ loops: $(LOOPS)/.installed
 	RAY_ADDRESS=local OMP_NUM_THREADS=1 $(LOOPS)/bin/python -m pytest -p no:xdist -k "loops or supersuit or rl_libraries" \
 		tests/learning/training/test_loops.py tests/envs/test_wrappers.py tests/docs/test_blocks.py
 
-# Packages of which both environments have the same version are not installed twice: the path of the second one ends with
-# that of the first. pip reports those of the first that do not fit the second; the tests do not import them.
-$(LOOPS)/.installed: setup.cfg constraints-loops.txt $(VENV)/.tested-with
-	$(PYTHON) -m venv --clear $(LOOPS)
-	$(BIN)/python -c "import sysconfig; print(sysconfig.get_path('purelib'))" \
-		> "$$($(LOOPS)/bin/python -c "import sysconfig; print(sysconfig.get_path('purelib'))")/tested.pth"
-	$(LOOPS)/bin/python $(INSTALL) -c constraints-loops.txt \
+$(LOOPS)/.installed: setup.cfg constraints-loops.txt
+	$(INSTALL) $(LOOPS) -c constraints-loops.txt \
 		-e ".[benchmarl,plot,rllib,supersuit,tianshou]" hypothesis pytest pytest-timeout
 	touch $@
 
@@ -88,9 +82,8 @@ LEROBOT_PACKAGES := accelerate==1.15.0 av==15.1.0 datasets==4.8.5 deepdiff==8.6.
 	einops==0.8.2 numpy==2.2.6 packaging==25.0 pyserial==3.5 termcolor==3.3.0 torch==2.13.0 torchcodec==0.13.0 \
 	torchvision==0.28.0 vla-eval==0.8.0
 $(LEROBOT)/.installed: setup.cfg Makefile
-	$(PYTHON) -m venv $(LEROBOT)
-	$(LEROBOT)/bin/python $(INSTALL) -e ".[vision]" $(LEROBOT_PACKAGES) hypothesis pytest pytest-timeout
-	$(LEROBOT)/bin/python $(INSTALL) --no-deps lerobot==0.4.4
+	$(INSTALL) $(LEROBOT) -e ".[vision]" $(LEROBOT_PACKAGES) hypothesis pytest pytest-timeout
+	$(INSTALL) $(LEROBOT) --no-deps lerobot==0.4.4
 	mkdir -p $(LEROBOT)/ffmpeg
 	for file in $(abspath $(LEROBOT))/lib/python3*/site-packages/av.libs/lib[as][vw]*.so.*; do \
 		ln -sf "$$file" $(LEROBOT)/ffmpeg/"$$(basename "$$file" | sed -E 's/-[0-9a-f]+(\.so\.[0-9]+).*/\1/')"; \
@@ -105,12 +98,11 @@ docs: $(VENV)/.tested-with
 	OMP_NUM_THREADS=1 $(BIN)/python -m sphinx -W --keep-going -q docs build/site
 
 $(VENV)/.installed: setup.cfg constraints.txt
-	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python $(INSTALL) -c constraints.txt -e .
+	$(INSTALL) $(VENV) -c constraints.txt -e .
 	touch $@
 
 $(VENV)/.tested-with: $(VENV)/.installed
-	$(BIN)/python $(INSTALL) -c constraints.txt -e ".[$(EXTRAS)]"
+	$(INSTALL) $(VENV) -c constraints.txt -e ".[$(EXTRAS)]"
 	touch $@
 
 # The wheel is built from the sdist.
@@ -127,8 +119,8 @@ smoke: $(VENV)/.tested-with
 
 # Episodes with the wheel in a clean environment. The page with the report needs templates, which are data files.
 play:
-	$(PYTHON) -m venv --clear build/smoke
-	build/smoke/bin/python $(INSTALL) --quiet -c $(CONSTRAINTS) dist/*.whl
+	rm -rf build/smoke
+	$(INSTALL) build/smoke --quiet -c $(CONSTRAINTS) dist/*.whl
 	cd build/smoke && for physics in $$(bin/python -c \
 		"from handover_marl.simulation.engines import list_available_physics; print(*list_available_physics()[-2:])"); do \
 		bin/handover-marl benchmark --dataset synthetic --split val --scenes 9 --physics $$physics --overwrite --out results | \
@@ -146,12 +138,11 @@ release: smoke
 	done
 
 # pip resolves for the Python that it runs in; uv for any, here for patch 9, since packages leave out early ones.
-resolve:
-	$(PYTHON) -m venv --clear build/resolve
-	build/resolve/bin/python $(INSTALL) --quiet uv
-	build/resolve/bin/python -m pip wheel --quiet --no-deps --wheel-dir build/resolve .
+resolve: $(VENV)/.installed
+	rm -rf build/resolve
+	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir build/resolve .
 	for version in $$(sed -n 's/.*Python :: \(3\.[0-9]*\)$$/\1/p' setup.cfg); do \
-		echo "handover-marl[$(EXTRAS)] @ file://$$(echo $(CURDIR)/build/resolve/*.whl)" | build/resolve/bin/uv pip compile \
+		echo "handover-marl[$(EXTRAS)] @ file://$$(echo $(CURDIR)/build/resolve/*.whl)" | $(BIN)/uv pip compile \
 			--quiet --no-header --no-annotate --python-version $$version.9 --only-binary :all: -c constraints.txt \
 			-o build/resolve/$$version.txt - && echo "Python $$version: build/resolve/$$version.txt" || exit 1; \
 	done
