@@ -14,7 +14,7 @@ author = "The handover_marl developers"
 project_copyright = author
 version = release = handover_marl.__version__
 
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode", "sphinx_copybutton"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton"]
 exclude_patterns = ["_build", "**.ipynb_checkpoints", "results/data"]
 nitpicky = True
 # References to other projects are not checked, so the build needs no network.
