@@ -1,7 +1,7 @@
 """Forward kinematics of the Panda for many configurations, and a test for unreachable poses.
 
-Link frames and Jacobians are in the frame of the robot's base. They have the n configurations as last axis, e.g. (3, n)
-points and (3, 3, n) rotations, except in `ArmKinematics.compute_hand_jacobians`, where this axis is the first.
+Link frames and Jacobians are in the frame of the robot's base. The last axis of an array is for the n configurations,
+e.g. (3, n) points and (3, 3, n) rotations. In `ArmKinematics.compute_hand_jacobians`, this axis is the first.
 """
 
 from collections.abc import Sequence
@@ -20,9 +20,9 @@ from handover_marl.geometry.poses import transform_points
 
 Array = npt.NDArray[np.float64]
 
-# Largest distances of the Panda's hand and of its wrist from the shoulder, and height along the hand's z axis and
-# radius of the circle of the wrist around the last joint's axis (m).
+# Largest distance (m) from the Panda's shoulder to its hand link, and to its wrist.
 _ARM_LENGTH, _WRIST_RANGE = 0.8578930066326846, 0.7193542034041307
+# The wrist is on a circle around the last joint's axis: height along the hand's z axis, and radius (m).
 _WRIST_HEIGHT, _WRIST_RADIUS = -0.107, 0.088
 
 
@@ -101,7 +101,7 @@ class ArmKinematics:
         )
 
     def compute_jacobian(self, chain: LinkFrames) -> Array:
-        """Compute base-frame Jacobians (6, 7, n) of the hand link, linear rows (m/rad) first, from link frames."""
+        """Compute base-frame hand Jacobians (6, 7, n), linear rows (m/rad) first, from `compute_chain_frames`."""
         (ax, ay, az), levers = chain.rotations[:-1, :, 2].swapaxes(0, 1), chain.origins[-1] - chain.origins[:-1]
         lx, ly, lz = levers.swapaxes(0, 1)
         return np.stack([ay * lz - az * ly, az * lx - ax * lz, ax * ly - ay * lx, ax, ay, az])
@@ -136,7 +136,7 @@ class ArmKinematics:
 
 
 class IndependentArmKinematics(ArmKinematics):
-    """Kinematics of a Panda whose result for a configuration does not depend on the others, to the last bit.
+    """Kinematics of a Panda; the result for a configuration is bit-equal whatever the other configurations are.
 
     Arguments and errors are those of `ArmKinematics`, which is slower for few configurations and faster for hundreds.
     """
@@ -181,7 +181,7 @@ def _combine(weights: Array, vectors: AnyArray) -> AnyArray:
 
 
 def transform_body_points(frames: LinkFrames, on_links: Sequence[Array]) -> Array:
-    """Return base-frame points (3, L * k, n) in m of k points (k, 3) on each of L links, given in the link's frame."""
+    """Transform k points (k, 3) on each of L links from link frames to the base frame: points (3, L * k, n) in m."""
     moved = [
         points @ rotation + origin[:, None]
         for points, origin, rotation in zip(on_links, frames.origins, frames.rotations, strict=True)
@@ -208,8 +208,8 @@ class ReachabilityBound:
     """Test for poses of the hand link that the Panda cannot reach, by two necessary conditions.
 
     Joint limits are ignored. The hand must not be farther from the shoulder than the arm is long. For a given
-    orientation, the wrist (origin of the last joint but one) can only be on a circle around the last joint's axis, and
-    the distance of a point of that circle from the shoulder must be at most the length of the arm without the hand.
+    orientation, the wrist (origin of the last joint but one) can only be on a circle around the last joint's axis. At
+    least one point of that circle must be no farther from the shoulder than the arm without the hand is long.
 
     Args:
         world_from_base: (7,) pose of the robot's base, xyz (m) and quaternion xyzw.
@@ -224,7 +224,7 @@ class ReachabilityBound:
         """Return a mask (...) of the world poses that the hand link certainly cannot reach.
 
         Positions (..., 3) are in m, orientations (..., 4) are quaternions xyzw or None for any. A pose counts as
-        reached within `distance` (m) and `angle` (rad).
+        reached if the hand link is within `distance` (m) and `angle` (rad) of it.
         """
         target = np.asarray(position, dtype=np.float64)
         is_too_far = np.asarray(np.linalg.norm(target - self._shoulder, axis=-1) > _ARM_LENGTH + distance)
@@ -251,7 +251,7 @@ class IkSolver(Protocol):
     ) -> Array | None:
         """Return arm joints (7,) in rad that bring the hand link to a world pose, or None without convergence.
 
-        The search starts at joints `start` (9,), whose fingers are ignored. The pose is a position (3,) in m and an
+        The search starts at joints `start` (9,); finger joints are ignored. The pose is a position (3,) in m and an
         orientation, a quaternion (4,) xyzw or None for any.
         """
         found: Array = self.solve_many(
@@ -262,7 +262,7 @@ class IkSolver(Protocol):
     def solve_many(
         self, starts: npt.NDArray[np.floating], positions: Array, orientations: Array | None = None
     ) -> Array:
-        """Return arm joints (n, 7) in rad that bring the hand link to n world poses, nan without convergence.
+        """Return arm joints (n, 7) in rad that bring the hand link to n world poses; rows without convergence are nan.
 
         Searches start at joints (n, 9). Positions (n, 3) are in m, orientations (n, 4) quaternions xyzw, None for any.
         """

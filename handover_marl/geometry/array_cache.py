@@ -53,7 +53,7 @@ def get_cache_path(kind: str, urdf: Path, *parameters: bytes) -> Path:
 def load_cached_arrays(path: Path, names: Sequence[str], what: str) -> Arrays | None:
     """Load arrays by name from a cache file; return None if it is missing or unreadable.
 
-    An unreadable file is logged as a warning; `what` describes its content there, e.g. "distance field".
+    For an unreadable file, a warning is logged, in which `what` names the content, e.g. "distance field".
     """
     try:
         return read_arrays(path, tuple(names)) if path.exists() else None
@@ -63,7 +63,7 @@ def load_cached_arrays(path: Path, names: Sequence[str], what: str) -> Arrays | 
 
 
 def save_cached_arrays(path: Path, arrays: Arrays, what: str) -> None:
-    """Write arrays by name to a cache file; if that fails, log a warning that describes their content by `what`."""
+    """Write arrays by name to a cache file; if that fails, log a warning, in which `what` names the content."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_arrays(path, arrays)

@@ -44,7 +44,7 @@ def get_namespace(*arrays: object) -> Any:
 def as_arrays(*values: Any) -> tuple[Any, ...]:
     """Return the common array namespace of values, followed by each value as an array of that namespace.
 
-    If a value is a tensor, all become tensors on its device. Numbers and lists keep their own number type.
+    If a value is a tensor, all become tensors on its device. Numbers and lists get NumPy's type for them, e.g. float64.
     """
     torch = sys.modules.get("torch")
     if torch is None or not any(isinstance(value, torch.Tensor) for value in values):
@@ -72,12 +72,12 @@ def _make_constant(values: tuple[float, ...], device: Any) -> AnyArray:
 
 
 def to_numpy(array: AnyArray) -> npt.NDArray[Any]:
-    """Return an array as a NumPy array: itself, a view of a tensor on the processor, or a copy of one on a GPU."""
+    """Return an array as a NumPy array: itself, a view of a tensor on the CPU, or a copy of one on a GPU."""
     return np.asarray(array.detach().cpu() if is_tensor(array) else array)
 
 
 def widen(array: AnyArray) -> AnyArray:
-    """Return an array or tensor with its values as float64."""
+    """Convert an array or tensor to float64."""
     xp = get_namespace(array)
     return xp.astype(array, xp.float64)
 
@@ -171,7 +171,7 @@ class ArrayFactory:
         return self.xp.arange(count, dtype=self.xp.int64, device=self.device)
 
     def asarray(self, values: Any, dtype: str | None = None) -> AnyArray:
-        """Return values as an array of the number type `dtype`, or else their own; tensors copy NumPy arrays."""
+        """Return values as an array of type `dtype`, None for their own type; tensors are copies of NumPy arrays."""
         own = values if is_tensor(values) else np.asarray(values)
         is_copied = None if is_tensor(own) or self.xp is np else True
         number_type = None if dtype is None else self._get_dtype(dtype)
@@ -213,7 +213,7 @@ class GrowableArray:
         self.rows = arrays.zeros((0, *shape), dtype)
 
     def extend(self, values: AnyArray) -> int:
-        """Append rows (k, *shape), or one row (*shape), and return the index in `rows` of the first."""
+        """Append rows (k, *shape), or one row (*shape), and return the index in `rows` of the first new row."""
         new = self._arrays.asarray(values, self._dtype).reshape(-1, *self.rows.shape[1:])
         first, self._count = self._count, self._count + len(new)
         if self._count > len(self.rows):

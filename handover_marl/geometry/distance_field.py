@@ -76,9 +76,9 @@ class DistanceField:
 
 
 def sample_distance_field(distance: Callable[[Array], Array], lower: Array, upper: Array, cell: float) -> DistanceField:
-    """Sample a function from points (n, 3) to signed distances (n,) in m, negative inside, on a grid over a box.
+    """Sample a signed distance function (m, negative inside) on a grid over a box.
 
-    The grid starts at the corner `lower` (3,) of the box, reaches `upper` (3,), and has the spacing `cell` (m).
+    `distance` maps points (n, 3) to distances (n,). The grid of spacing `cell` covers `lower` (3,) to `upper` (3,) (m).
     """
     counts = np.ceil((upper - lower) / cell).astype(int) + 1
     axes = [start + cell * np.arange(count) for start, count in zip(lower, counts, strict=True)]

@@ -56,7 +56,7 @@ class TreeJoint:
 
 
 class TreeConstants(NamedTuple):
-    """Constants of the joints of L links, of one tree or of a batch (...) of trees with the same joint types.
+    """Constants of the L joints of one tree, or of a batch (...) of trees with the same joint types.
 
     Attributes:
         offsets: Origins (..., L, 3) of the joints in the parents' frames (m).
@@ -81,8 +81,8 @@ class KinematicTree:
         n_dof: Number of moving joints.
         moving_links: Child links of the moving joints, in the order of the joint positions.
         constants: Constants of the joints.
-        columns: Index (L,) of each link's joint in the joint positions; `n_dof`, the index of an appended zero, for
-            fixed joints.
+        columns: Index (L,) of each link's joint in the joint positions. Fixed joints have the index `n_dof`, that of an
+            appended zero.
         levels: Pair of arrays for each depth of the tree, from the base's grandchildren on: the numbers of the links
             at this depth, and of their parents.
     """
@@ -130,7 +130,7 @@ class KinematicTree:
         return [joint.link for joint in self.joints].index(name)
 
     def compute_reach(self, link: int, spheres: Mapping[int, BoundingSphere]) -> float:
-        """Compute an upper bound (m) on the distance from a link's origin to the shapes of it and its descendants.
+        """Compute an upper bound (m) on the distance from a link's origin to any point of the link or its descendants.
 
         `spheres` maps the number of a link to the bounding sphere of its shapes. Revolute joints may have any position,
         prismatic joints are at zero.
@@ -244,7 +244,7 @@ class TreeBatch:
     """Kinematic trees of several models on one device; the models have the same joints, but links of any size.
 
     Args:
-        noun: Plural of the models' kind, for errors, e.g. "hands".
+        noun: Plural noun for the models in error messages, e.g. "hands".
         arrays: Creator of arrays on the device.
     """
 
@@ -256,7 +256,7 @@ class TreeBatch:
         self._levels: Sequence[tuple[AnyArray, AnyArray]] = ()
 
     def add(self, urdf: Path) -> int:
-        """Copy a model to the device, unless it is there; return its number; it must have the joints of the first."""
+        """Copy a model, with the same joints as the first one, to the device, unless it is there; return its number."""
         key = urdf, urdf.stat().st_mtime_ns
         if key not in self._numbers:
             self._numbers[key] = self._add(urdf)

@@ -43,7 +43,7 @@ GRIPPER_OUTLINE = (
     *((0.0, 0.0, 0.05), (0.0, -0.04, 0.05), (0.0, -0.04, 0.103)),
 )
 
-#: Distance of the middle between the finger pads from the hand link's origin, along its z axis (m).
+#: Distance (m) along the hand link's z axis from its origin to the middle between the finger pads.
 PAD_DISTANCE = 0.1
 
 #: Point between the fingertips in the hand link's frame.
@@ -55,8 +55,8 @@ RANKING_STANDOFF = (0.0, 0.0, -0.2, 0.0, 0.0, 0.0, 1.0)
 #: World pose (7,) of the hand link near the waiting joints; standoffs are ranked by their distance to it.
 PREFERRED_HAND_POSE = (*(0.6914180, -0.4314530, 1.5511079), *(0.6429956, 0.6701149, 0.2626269, -0.2617819))
 
-#: Weight (m^2) of the rotation term of the pose distance.
+#: Weight (m^2) of the rotations in `compute_pose_distances`.
 RANKING_ROTATION_WEIGHT = 0.5
 
-#: Number of grasps that are planned for, in the order of their rank.
+#: Largest number of grasps that are considered: those of the best ranks.
 MAX_RANKED_GRASPS = 25

@@ -1,7 +1,7 @@
 """Rotations: unit quaternions (..., 4) xyzw, matrices (..., 3, 3), rotation vectors (..., 3) and Euler angles (..., 3).
 
-Euler angles are intrinsic XYZ angles in rad. Where SciPy converts NumPy arrays, these have one batch axis (n,); tensors
-may have any, and are converted by the same formulas in double precision.
+Euler angles are intrinsic XYZ angles in rad. Some functions convert NumPy arrays with SciPy, which needs one batch axis
+(n,). They convert tensors, with any batch axes, by the same formulas in double precision.
 """
 
 import warnings
@@ -205,10 +205,10 @@ def _euler_solutions(angles: AnyArray) -> AnyArray:
 
 
 def find_nearest_euler_branch(angles: AnyArray, previous: AnyArray) -> tuple[AnyArray, AnyArray]:
-    """Find which XYZ Euler angles of the rotations `angles` (n, 3) are nearest to `previous` (n, 3) (rad).
+    """Find the XYZ Euler angles of the rotations `angles` (n, 3) that are nearest to `previous` (n, 3) (rad).
 
-    Each rotation has two triples of angles, up to full turns. Returns the nearest one (n,), 0 for the triple in
-    `angles` and 1 for the other, and the numbers (n, 3) of full turns to add to it.
+    Each rotation has two triples of angles, up to full turns. Returns the number (n,) of the nearest triple, 0 for the
+    one in `angles` and 1 for the other, and the numbers (n, 3) of full turns to add to this triple.
     """
     xp = get_namespace(angles)
     solutions = _euler_solutions(angles)
@@ -219,7 +219,7 @@ def find_nearest_euler_branch(angles: AnyArray, previous: AnyArray) -> tuple[Any
 
 
 def find_nearest_euler(angles: AnyArray, previous: AnyArray) -> AnyArray:
-    """Return angles (n, 3) of the same rotations as `angles` (n, 3), nearest to `previous` (n, 3): XYZ Euler, rad."""
+    """Return the XYZ Euler angles (n, 3) of rotations `angles` (n, 3) that are nearest to `previous` (n, 3) (rad)."""
     xp, solutions = get_namespace(angles), _euler_solutions(angles)
     solution, turns = find_nearest_euler_branch(angles, previous)
     return xp.where(solution[:, None] == 0, solutions[:, 0], solutions[:, 1]) + 2.0 * np.pi * turns

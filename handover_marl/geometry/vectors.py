@@ -20,7 +20,7 @@ def compute_lengths(vectors: AnyArray) -> AnyArray:
 
 
 def limit_lengths(vectors: AnyArray, length: float) -> AnyArray:
-    """Return vectors (..., k), of which those longer than `length` are shortened to it."""
+    """Shorten those of the vectors (..., k) that are longer than `length` to this length."""
     return vectors * (length / compute_lengths(vectors).clip(length))[..., None]
 
 

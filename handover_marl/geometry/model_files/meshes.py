@@ -40,7 +40,7 @@ class VisualMesh:
 
 
 def select_extreme_points(points: Array, limit: int) -> Array:
-    """Select at most `limit` of the points (n, 3), the outermost in evenly spread directions."""
+    """Select at most `limit` of the points (n, 3): those that are outermost in evenly spread directions."""
     for count in range(4 * limit, limit - 1, -1):
         k = np.arange(count) + 0.5
         height, turn = 1.0 - 2.0 * k / count, np.pi * (1.0 + np.sqrt(5.0)) * k
@@ -53,7 +53,7 @@ def select_extreme_points(points: Array, limit: int) -> Array:
 
 
 def find_farthest_points(points: Array, count: int, first: int = 0) -> list[int]:
-    """Return the indices of `count` of the points (n, d) by farthest point sampling, the first of which is `first`."""
+    """Return the indices of `count` points of (n, d), chosen by farthest point sampling that starts with `first`."""
     coordinates = np.ascontiguousarray(points.T)  # NumPy sums along a short last axis slowly.
     chosen, distances = [first], np.full(len(points), np.inf)
     while len(chosen) < count:
@@ -65,7 +65,7 @@ def find_farthest_points(points: Array, count: int, first: int = 0) -> list[int]
 
 
 def compute_convex_hull(points: Array) -> tuple[Array, Faces]:
-    """Compute the convex hull of points (n, 3): its vertices (v, 3), and vertex numbers (f, 3) of outward triangles."""
+    """Compute the convex hull of points (n, 3): its vertices (v, 3) and its triangles (f, 3), which face outwards."""
     hull = ConvexHull(points)
     numbers = np.sort(hull.vertices)
     faces = np.searchsorted(numbers, hull.simplices)

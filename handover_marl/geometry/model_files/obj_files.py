@@ -53,7 +53,7 @@ def read_obj(path: Path) -> ObjMesh:
 
 
 def split_obj_lines(content: bytes) -> Iterator[list[str]]:
-    """Return the words of each line of an OBJ file that is neither empty nor a comment; a backslash joins lines."""
+    """Return the words of each line of an OBJ file, without comments and empty lines; a backslash joins lines."""
     text = content.decode("utf-8-sig", errors="replace")
     if "\\" in text:
         text = _CONTINUATION.sub(" ", text)
@@ -95,13 +95,13 @@ def _parse_obj(path: Path, lines: Iterator[list[str]]) -> ObjMesh:
 def split_polygons(
     polygons: Sequence[Sequence[str]], part: int, counts: Sequence[int]
 ) -> tuple[Faces, npt.NDArray[np.int64]]:
-    """Split polygons into fans of triangles of vertices (part 0) or of texture coordinates (part 1).
+    """Split polygons into fans of triangles, with indices of vertices (`part` 0) or texture coordinates (`part` 1).
 
-    A polygon has its corners as in the file, e.g. "7/3" for vertex 7 and texture coordinate 3. Numbers there count from
-    1, or, if negative, backwards from the last of the `counts` entries before the polygon; a missing one becomes -1.
+    A corner is written as in the file: "7/3" has vertex 7 and texture coordinate 3. Positive numbers count from 1,
+    negative ones back from the last entry before the polygon; `counts` are the numbers of entries before each polygon.
 
     Returns:
-        Indices (f, 3) of the triangles' corners, which count from 0, and the polygon (f,) of each triangle.
+        Indices (f, 3) of the triangles' corners, from 0, -1 if missing; and the polygon's index (f,) of each triangle.
     """
     numbers = np.array([int(f"{word}//".split("/", 2)[part] or 0) for words in polygons for word in words])
     sizes = np.array(list(map(len, polygons)))

@@ -1,7 +1,7 @@
 """Colors of visual meshes, as PyBullet draws them.
 
-A shape has the color of its URDF material, multiplied with the first texture that the materials of its OBJ file name;
-all other values of these materials are ignored. The last definition of a material's name counts in the whole model.
+A shape has the color of its URDF material, multiplied with the first texture in the materials of its OBJ file; all
+other values of these materials are ignored. If a URDF material is defined twice, the last one holds for all shapes.
 """
 
 import functools
@@ -32,9 +32,9 @@ class Surface:
     """Colors of the triangles of one `VisualMesh`, in the same order.
 
     Attributes:
-        corners: (f, 3, 2) float32 positions of the triangles' corners in their textures, rightwards and upwards in
-            units of the texture's size; textures repeat.
-        textures: (f, 3) int32 first texel, width and height of the triangles' textures.
+        corners: (f, 3, 2) float32 texture coordinates of the triangles' corners: right and up, in units of the
+            texture's size; textures repeat.
+        textures: (f, 3) int32 texture of each triangle: index of its first texel in `texels`, width and height.
         texels: (t, 3) uint8 red, green and blue of all textures, each row by row from the bottom.
     """
 
@@ -43,7 +43,7 @@ class Surface:
     texels: Texture
 
     def sample(self, faces: npt.NDArray[np.integer], weights: Array) -> Texture:
-        """Return colors (n, 3) at a point of each triangle `faces` (n,), by the weights (n, 2) of corners 2 and 3."""
+        """Return colors (n, 3) of a point on each triangle `faces` (n,), from weights (n, 2) of its corners 2 and 3."""
         # `take` is several times as fast as indexing of rows.
         first, width, height = self.textures.take(faces, axis=0).T
         if self._is_plain:

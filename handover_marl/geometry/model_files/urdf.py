@@ -97,7 +97,7 @@ def _read_limits(joint: ET.Element) -> tuple[float, float] | None:
 
 
 def list_mesh_references(urdf: Path) -> list[tuple[str, Path]]:
-    """List every mesh file of a URDF file, even of an invalid one: the name in the file, and the path that it means."""
+    """List every mesh file of a URDF file, even of an invalid one: its name in the URDF file, and its path."""
     meshes: list[tuple[str, Path]] = []
     for match in _MESH_NAME.findall(read_plain_file(urdf, MAX_URDF_BYTES)):
         name = match.decode(errors="replace")

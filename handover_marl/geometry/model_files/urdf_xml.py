@@ -9,10 +9,10 @@ from handover_marl.execution.reading import read_plain_file
 
 #: Largest accepted size of a URDF file (bytes); that of a human hand has 50 kB.
 MAX_URDF_BYTES = 10_000_000
-# Smallest and largest numbers of lengths, of any quantity, and of any that is not negative.
+# Ranges of lengths, of any quantity, and of quantities that are not negative.
 _LENGTH, _ANY, _POSITIVE = (1e-6, 1000.0), (-1e9, 1e9), (0.0, 1e9)
 #: Ranges of the numbers in URDF files by attribute, or by tag and attribute: kg, kg m^2, m, rad, N, s. Files of
-#: HandoverSim have masses up to 3.5, inertia 1 and joint limits of 1000, also inverted ones for joints without limits.
+#: HandoverSim have masses up to 3.5, inertia 1 and joint limits of 1000; inverted limits mark joints without limits.
 URDF_RANGES = {
     **{"size": _LENGTH, "radius": _LENGTH, "length": _LENGTH, "xyz": (-100.0, 100.0), "rpy": (-100.0, 100.0)},
     **dict.fromkeys(("ixx", "iyy", "izz"), (0.0, 1000.0)),
@@ -27,8 +27,8 @@ _NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
 def parse_urdf(urdf: Path) -> ET.Element:
     """Parse a URDF file, check its numbers, and return its root element.
 
-    Raises `ValueError` for numbers that are not finite or make no sense, such as a negative mass, which engines load
-    without an error, and for text that is not XML.
+    Raises `ValueError` for text that is not XML, and for numbers that are not finite or make no sense, such as a
+    negative mass. Engines load such numbers without an error.
     """
     content = read_plain_file(urdf, MAX_URDF_BYTES)
     try:
