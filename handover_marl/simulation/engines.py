@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 WorldBatch: TypeAlias = "MujocoWorldBatch | WarpWorldBatch"
 
 EXACT, FAST, MUJOCO = "exact", "fast", "mujoco"
-#: "exact" equals HandoverSim's PyBullet simulation bit for bit; "fast" is PyBullet that simulates objects only while
-#: the robot is near them, or after their release; "mujoco" is MuJoCo.
+#: "exact" equals HandoverSim's PyBullet simulation bit for bit; "fast" is PyBullet that simulates an object only after
+#: the robot has come near it, or after the release; "mujoco" is MuJoCo.
 PHYSICS = (EXACT, FAST, MUJOCO)
 
 THREADS, WARP = "threads", "warp"

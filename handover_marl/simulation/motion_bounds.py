@@ -30,7 +30,7 @@ class RobotMotionBounds:
     Attributes:
         links: Numbers of the L links that have collision shapes, without the base.
         link_centers: Centers (L, 3) of these links' spheres in the frames of the links (m).
-        base_centers: Center (1, 3) of the sphere of the base in the world (m); (0, 3) without such shapes.
+        base_centers: Center (1, 3) of the sphere of the base in the world (m); (0, 3) if it has no collision shapes.
     """
 
     def __init__(self, tree: KinematicTree, spheres: Mapping[int, BoundingSphere], config: PandaConfig) -> None:

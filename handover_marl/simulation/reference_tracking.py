@@ -65,8 +65,8 @@ def select_keypoint_links(joints: Sequence[int]) -> list[int]:
     """Return the numbers of the links whose origins are the 16 keypoints of a human hand: wrist and 15 finger joints.
 
     Args:
-        joints: Numbers of the child links of the 51 moving joints. A finger joint consists of three of them, one for
-            each axis; the link of the first has its origin at the joint.
+        joints: Numbers of the child links of the 51 moving joints. A finger joint consists of three moving joints, one
+            for each axis; the child link of the first one has its origin at the finger joint.
     """
     return [WRIST_LINK, *joints[BASE_JOINTS::3]]
 
@@ -83,9 +83,9 @@ class BodyTrajectory:
 
     Attributes:
         gains: Fraction (d,) of its position error that each joint corrects in a step.
-        joints: Joint positions (n + 2, d) in m and rad: rows 0 and 1 are those after the last two steps before the
-            reference motion, row k + 2 that after its step k; zeros while the body is absent.
-        present: Whether the body is in the scene after these steps, (n + 2,).
+        joints: Joint positions (n + 2, d) in m and rad, zeros while the body is absent. Rows 0 and 1 are the last two
+            steps before the reference motion; row k + 2 is after its step k.
+        present: Whether the body is in the scene in each row of `joints`, (n + 2,).
     """
 
     def __init__(self, motors: Sequence[MotorConfig], start: npt.NDArray[np.float32] | None) -> None:
@@ -114,7 +114,7 @@ class BodyTrajectory:
         return bool(self.present[row + 2])
 
     def get_joints(self, row: int) -> Array:
-        """Return the joint positions (d,) in m and rad after step `row`, which counts as in `is_present_after`."""
+        """Return the joint positions (d,) in m and rad after step `row`; rows are as in `is_present_after`."""
         joints: Array = self.joints[row + 2]
         return joints
 
@@ -124,7 +124,7 @@ TrackedReference = tuple[BodyTrajectory, npt.NDArray[np.float32], npt.NDArray[np
 
 
 def track_references(references: Sequence[TrackedReference]) -> None:
-    """Compute and store trajectories under new reference motions; each continues the body's current trajectory.
+    """Compute and store the trajectories of bodies under new reference motions, from their current positions on.
 
     A trajectory does not depend on how its steps are divided into calls, nor on the other bodies.
     """

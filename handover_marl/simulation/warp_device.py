@@ -23,13 +23,13 @@ class WarpDevice:
         self.stream = arrays.xp.cuda.Stream(arrays.device) if arrays.device.type == "cuda" else None
 
     def synchronize(self) -> None:
-        """Wait until the device has done all work in the stream, so that the arrays that it reads may be replaced."""
+        """Wait until the device has done all work in the stream; then arrays that this work reads may be replaced."""
         if self.stream is not None:
             self.stream.synchronize()
 
     @contextlib.contextmanager
     def use(self) -> Iterator[None]:
-        """Make Warp and PyTorch use the device in a `with` block; on a GPU in one stream, which keeps work in order."""
+        """Make Warp and PyTorch use the device in a `with` block; on a GPU, both work in one stream, in order."""
         with contextlib.ExitStack() as stack:
             stack.enter_context(warp.ScopedDevice(self._name))
             if self.stream is not None:

@@ -45,7 +45,7 @@ class Contacts(NamedTuple):
         object_supported: Whether the target object touches the table or another object. Valid after the release only.
         object_height: World z of the target object's origin (m). Valid after the release, and while the robot touches
             the object.
-        gripper_position: World position of the Panda's hand link (m). Valid as `object_height` is.
+        gripper_position: World position of the Panda's hand link (m). Valid whenever `object_height` is.
         robot_object_force: Sum of the normal forces between Panda and target object (N), not used by the task's rules.
         robot_hand_force: Sum of the normal forces between Panda and human hand (N), not used by the task's rules.
         robot_touches_others: Whether the Panda touches an object besides the target, not used by the task's rules.
@@ -91,7 +91,7 @@ class RolloutContacts(NamedTuple):
 
     @classmethod
     def without_contacts(cls, steps: int, worlds: int) -> "RolloutContacts":
-        """Return the contacts of n = `worlds` worlds in k = `steps` physics steps in which nothing touches."""
+        """Return contacts of n = `worlds` worlds in k = `steps` physics steps without any contact."""
         shape, default = (steps, worlds), Contacts()
         flags, fingers = np.zeros(shape, dtype=bool), np.zeros((*shape, 2), dtype=bool)
         height, position = np.full(shape, default.object_height), np.full((*shape, 3), default.gripper_position)
@@ -99,12 +99,12 @@ class RolloutContacts(NamedTuple):
 
 
 class RolloutEnd(NamedTuple):
-    """Result of the task's rules for a rollout of n worlds, whose steps count up to their first release or end.
+    """Result of the task's rules for a rollout of n worlds; steps after a release or an episode's end are discarded.
 
     Attributes:
-        steps: Number (n,) of steps that count in each world; 0 for worlds that had ended before.
+        steps: Number (n,) of steps that each world keeps; 0 if its episode had ended before.
         released: Whether the object is released in the last of these steps, (n,).
-        ended: Whether each world has ended, (n,).
+        ended: Whether the episode of each world has ended, (n,).
     """
 
     steps: AnyArray
@@ -112,8 +112,8 @@ class RolloutEnd(NamedTuple):
     ended: AnyArray
 
 
-#: Function that applies the task's rules: its arguments are the indices (n,) of worlds in a rollout and their contacts
-#: in k steps, its result says which of these steps count.
+#: Function that applies the task's rules. Its arguments are the indices (n,) of worlds in a rollout, and the contacts
+#: of these worlds in k steps.
 JudgeFunction = Callable[[AnyIndices, RolloutContacts], RolloutEnd]
 
 
@@ -220,7 +220,7 @@ class World(ABC):
         Args:
             robot_target: Nine joint targets of the Panda (rad, m), float32 values.
             steps: Number of physics steps, at most the rows of the reference motion.
-            judge: Function that applies the rules of release and end to the contacts of this world, index 0.
+            judge: Function that applies the rules of release and end to the contacts of this world; its index is 0.
             rules: Bounds of the grasp region of the fingers.
 
         Returns:
@@ -261,7 +261,7 @@ class World(ABC):
         """Render an image of a camera with PyBullet's renderer, whichever engine simulates.
 
         Args:
-            snapshot: Earlier state of the same scene to render; None is the current state.
+            snapshot: Joint positions of all bodies of the scene, e.g. earlier ones; None for the current ones.
             color: Whether to render colors.
             camera: The camera; default: HandoverSim's wrist camera.
         """

@@ -31,7 +31,7 @@ INERTIAL_POSE = slice(3, 5)
 TABLE_MASK = 1
 HAND_MASK = 2**22
 PANDA_MASK = -1
-# Bits that neither table nor hand use, those of no YCB class first; bit 31 is the sign.
+# Bits that neither table nor hand use; those of no YCB class come first. Bit 31 is the sign.
 _OBJECT_BITS = (21, *range(23, 31), *range(1, 21))
 RELEASED_MASK = -1 - HAND_MASK
 

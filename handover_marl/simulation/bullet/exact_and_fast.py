@@ -1,4 +1,4 @@
-"""PyBullet worlds: `ExactWorld` repeats HandoverSim bit for bit, `FastWorld` simulates only bodies near the robot."""
+"""PyBullet worlds: `ExactWorld` repeats HandoverSim bit for bit, `FastWorld` omits objects until the robot is near."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -70,7 +70,7 @@ class ExactWorld(BulletWorld):
         self._simulate()
 
     def read_contacts(self, released: bool) -> Contacts:
-        """Return the contacts of the last step; those of the target with table or objects only if it is `released`."""
+        """Return the contacts of the last step; `released` adds those between the target and table or other objects."""
         hand = () if self._hand is None else (self._hand.id,)
         return self._read_contacts(hand, self._objects[0], {body.id for body in self._objects[1:]}, released)
 
@@ -102,11 +102,11 @@ class ExactWorld(BulletWorld):
 
 
 class FastWorld(BulletWorld):
-    """PyBullet world that simulates objects only while the Panda is near them, or after their release.
+    """PyBullet world that simulates an object only after the Panda has come near it, or after the release.
 
-    The Panda, every object that it could touch, and after a release all objects are simulated as in `ExactWorld`. The
-    human hand follows its reference kinematically, as its motors would move it: by its collision mask it can touch only
-    the Panda, and such a contact ends the episode, so its dynamics have no effect. Models stay loaded between scenes.
+    The Panda is simulated as in `ExactWorld`, like objects that it may soon touch and, after the release, all objects.
+    The human hand follows its reference kinematically, as its motors would move it. It can touch only the Panda, and
+    such a contact ends the episode, so its dynamics have no effect. Robot, table and hands stay loaded between scenes.
     """
 
     def __init__(self, config: PhysicsConfig, window: bool = False) -> None:
@@ -178,7 +178,7 @@ class FastWorld(BulletWorld):
         self._simulate()
 
     def read_contacts(self, released: bool) -> Contacts:
-        """Return the contacts of the last step; those of the target with table or objects only if it is `released`."""
+        """Return the contacts of the last step; `released` adds those between the target and table or other objects."""
         target, *others = (item.body for item in self._objects)
         hand, awake = self._loaded_hand.bodies, {other.id for other in others if other is not None}
         if target is None and not hand and not awake:

@@ -1,7 +1,7 @@
-"""Hand and objects that are added to a PyBullet simulation (woken) only while the Panda may touch them.
+"""Hand and objects that are added to a PyBullet simulation (woken) only when the Panda may soon touch them.
 
-Otherwise they sleep: they follow their references kinematically. Row k is step k of the current reference motion; row
--1 is the state before its first step.
+Before that, they sleep: they follow their references kinematically. Once woken, they stay awake until the next scene.
+Row k is step k of the current reference motion; row -1 is the state before its first step.
 """
 
 from pathlib import Path
@@ -93,7 +93,7 @@ class SleepableObject(BodyTrajectory):
             self.body = ObjectBody(self._client, self._urdf, self._mask, self._config, joints.tolist(), velocities)
 
     def read_joints(self, row: int) -> npt.NDArray[np.float32]:
-        """Return the object's present joints (6,), float32 (m, rad); `row` is the last step of the reference so far."""
+        """Return the object's present joints (6,), float32 (m, rad); `row` is the last simulated step."""
         if self.body is not None:
             return self.body.read_joint_positions()
         return self.get_joints(row).astype(np.float32)

@@ -66,7 +66,7 @@ def resolve_camera_noise(camera_noise: str | CameraNoise | None) -> CameraNoise 
 def apply_camera_noise(
     image: CameraImage, noise: CameraNoise, rng: np.random.Generator, camera: Pinhole = WRIST_CAMERA
 ) -> CameraImage:
-    """Return a copy of a noise-free image with depth noise and missing pixels.
+    """Return an image with depth noise and missing pixels added; the given image is not changed.
 
     Args:
         image: Noise-free image.

@@ -35,8 +35,8 @@ INVISIBLE_LINKS: Final = (CAMERA_LINK,)
 HANDOVERSIM_MODEL, PINHOLE_MODEL = "handoversim", "pinhole"
 CAMERA_MODELS = (HANDOVERSIM_MODEL, PINHOLE_MODEL)
 
-#: Offset (right, down) in pixels from a pixel's column and row to the position from the image's upper left corner at
-#: which the pixel is sampled.
+#: A pixel in column u and row v is sampled at (u, v) plus this offset: pixels to the right and downwards from the
+#: image's upper left corner.
 SAMPLE_OFFSET_PX: Final = (0.0, 1.0)
 
 #: Distance behind a back face, which is invisible, at which a ray continues (m).
@@ -151,8 +151,8 @@ class CameraInfo:
         height: Height of the image (pixels).
         K: Matrix (3, 3) of the intrinsics (pixels), float64.
         link: Link of the robot on which the camera is mounted; "" for a camera that is fixed in the world.
-        extrinsics: Pose (4, 4) of the camera in the frame of this link, or in the world frame (m), float64: a matrix
-            that maps points of the camera's frame to that frame.
+        extrinsics: Pose (4, 4) of the camera in the link's frame, or in the world frame (m), float64: the matrix from
+            the camera's frame to the link's or the world frame.
     """
 
     width: int

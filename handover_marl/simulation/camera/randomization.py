@@ -25,11 +25,11 @@ class CameraRandomization(CheckedConfig):
         color: Largest relative change of red, green and blue, drawn for each channel and segmentation label.
         brightness: Largest relative change of the light, the same in the whole image.
         position: Largest error of the camera's position along each of its axes (m).
-        rotation: Largest component of the rotation vector of the orientation's error, in the camera's frame (rad).
+        rotation: Largest error of the orientation (rad), for each component of a rotation vector in the camera's frame.
         focal: Largest relative error of the focal length.
         principal: Largest error of the principal point, right and down (pixels).
-        depth_noise_std: Largest addition to `CameraNoise.depth_noise_std`, at least 0 (m at 1 m).
-        latency: Largest addition to `CameraNoise.latency`, at least 0 (s).
+        depth_noise_std: Largest addition to `CameraNoise.depth_noise_std` (m at 1 m); the smallest one is 0.
+        latency: Largest addition to `CameraNoise.latency` (s); the smallest one is 0.
 
     Raises:
         OptionError: A value is out of range.
@@ -45,7 +45,7 @@ class CameraRandomization(CheckedConfig):
     latency: float = bounded(0.0, 0.0, 1.0)
 
     def combine(self, other: "CameraRandomization") -> "CameraRandomization":
-        """Return a randomization whose deviations are each the larger one of this and of another randomization."""
+        """Combine this randomization with another one, with the larger of both values of each deviation."""
         return CameraRandomization(**{name: max(value, vars(other)[name]) for name, value in vars(self).items()})
 
     def draw(self, camera: Pinhole, noise: CameraNoise | None, rng: np.random.Generator) -> "CameraDraw":

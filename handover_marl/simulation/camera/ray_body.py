@@ -29,7 +29,7 @@ _IS_HIGH = np.array(list(itertools.product((False, True), repeat=3)))
 
 
 class RayHits(NamedTuple):
-    """First front face of a mesh that each of n rays hits; rays without a hit are left out.
+    """Hits of n rays on a mesh: the first front face that each ray hits. Rays without a hit are left out.
 
     Attributes:
         ray: (n,) numbers of the rays.

@@ -38,7 +38,7 @@ _NO_PIXELS = np.zeros(0, dtype=np.int64)
 _EDGES = np.array([(one, one | bit) for bit in (1, 2, 4) for one in range(8) if not one & bit]).T
 # Added around rectangles (pixels), larger than the rounding error of the projection.
 _MARGIN = 0.01
-# Numbers in place of a link's number.
+# Stand for ground and background in place of a link's number.
 _GROUND, _BACKGROUND = -1, -2
 _GROUND_COLORS = np.array(GROUND, dtype=np.uint8)
 
@@ -87,7 +87,7 @@ class Framebuffer:
         self._face, self._weights = np.empty(count, np.int32), np.empty(count, np.complex64)
 
     def draw(self, link: PosedLink, pixels: Pixels | None = None) -> Pixels:
-        """Draw a link on the pixels where it is nearer than what has been drawn there; return the changed pixels.
+        """Draw a link on the pixels where it is nearer than what has been drawn there; return these pixels' numbers.
 
         Args:
             link: Link to draw.

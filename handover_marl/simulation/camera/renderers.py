@@ -28,7 +28,7 @@ def resolve_renderer(name: str, physics: str) -> str:
 
 
 def check_rendering(operation: str = "rendering") -> None:
-    """Raise `OptionError` that names the `operation` if PyBullet, which renders scenes, is not installed."""
+    """Raise an `OptionError` that names the `operation` if PyBullet, which renders scenes, is not installed."""
     require_pybullet(
         operation,
         "without PyBullet, render a 3D replay page with --out FILE.html, and wrist-camera images with renderer='rays'",

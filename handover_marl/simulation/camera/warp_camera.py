@@ -41,7 +41,7 @@ DeviceMesh = tuple[int, int]
 class MeshBuffers:
     """Visual meshes on Warp's current device; a model whose files have not changed is copied once.
 
-    Mesh 0 stands for no mesh: its identifier is 0.
+    Mesh 0 stands for no mesh: its identifier is 0. The attributes are `GrowableArray`s.
 
     Args:
         arrays: Creator of tensors on the device.
@@ -49,9 +49,9 @@ class MeshBuffers:
     Attributes:
         identifiers: Identifiers (m,) of Warp's meshes, int64.
         spheres: Centers and radii (m, 4) of bounding spheres in the meshes' frames (m).
-        first_faces: Numbers (m,) of the meshes' first faces among the f faces of all meshes.
-        corners: Positions (f, 3, 2) of the faces' corners in their textures, in units of the texture's size.
-        textures: First texel, width and height (f, 3) of the faces' textures.
+        first_faces: Number (m,) of each mesh's first face among the f faces of all meshes.
+        corners: Texture coordinates (f, 3, 2) of the faces' corners, in units of the texture's size.
+        textures: Texture (f, 3) of each face: index of its first texel, width and height.
         texels: Red, green and blue (t, 3) of all textures, uint8.
     """
 
@@ -136,7 +136,7 @@ class ImageBatch(NamedTuple):
 
 
 class WarpCamera:
-    """Cameras of n worlds with visual meshes of their own.
+    """Cameras for n worlds, each with visual meshes of its own.
 
     Methods apply to the r worlds whose indices are in their argument `rows` (r,); other arrays have r rows.
 
@@ -160,7 +160,7 @@ class WarpCamera:
         self._mesh_buffers: MeshBuffers | None = None
 
     def load_scene(self, row: int, assets: SceneAssets) -> None:
-        """Load the models of the scene of the world with number `row`."""
+        """Load the models of a scene into the world with number `row`."""
         panda, table = self._config.panda, (*self._config.table_position, *IDENTITY[3:].tolist())
         robot_base = (*panda.base_position, *panda.base_orientation)
         self._robot[row], self._hand[row] = self._robots.add(assets.panda), self._hands.add(assets.hand)
@@ -244,7 +244,7 @@ class WarpCamera:
             stream_id: Number that makes the random choice independent of choices with other numbers.
 
         Returns:
-            Numbers (r, limit) of the pixels, ascending; missing ones are p, the number of pixels of an image.
+            Numbers (r, limit) of the chosen pixels, ascending, then p, the number of all pixels, for missing ones.
         """
         xp, segmentation = self._arrays.xp, images.segmentation
         n_pixels = segmentation.shape[1]

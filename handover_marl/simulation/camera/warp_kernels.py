@@ -103,7 +103,7 @@ def sample_texture(
     face: int,
     weights: warp.vec2,
 ) -> warp.vec3:
-    """Return the color, 0 to 255, of a point on a face, by weights of corners 2 and 3; see `render_images`."""
+    """Return the color, 0 to 255, of a point on a face, from its weights of corners 2 and 3; see `render_images`."""
     origin, texture = corners[face, 0], textures[face]
     place = origin + weights[0] * (corners[face, 1] - origin) + weights[1] * (corners[face, 2] - origin)
     column = warp.min(int((place[0] - warp.floor(place[0])) * float(texture[1])), texture[1] - 1)
@@ -151,13 +151,13 @@ def render_images(
         rotations: Rotation matrices (w, s) of the meshes.
         origins: Origins (w, s) of the meshes.
         spheres: Centers and radii (w, s) of bounding spheres of the meshes.
-        first_faces: Numbers (w, s) of the meshes' first faces among the f faces of all meshes.
+        first_faces: Number (w, s) of each mesh's first face among the f faces of all meshes.
         corners: Texture coordinates (f, 3) of the faces' corners; not used for images without colors.
-        textures: First texel, width and height (f,) of the faces' textures; not used for images without colors.
+        textures: First texel, width and height (f,) of each face's texture; not used for images without colors.
         texels: Red, green and blue (t,) of all textures; not used for images without colors.
         cameras: Rotation matrices (w,) of the cameras in the world.
         pinholes: Positions (w,) of the cameras in the world.
-        label_bits: Bits of the labels of the wanted bodies.
+        label_bits: Labels of the wanted bodies; label i sets bit i.
         has_ground: Whether to draw the ground.
         width: Width of the images (pixels).
         intrinsics: Focal lengths and principal point (pixels).

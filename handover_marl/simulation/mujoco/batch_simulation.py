@@ -63,7 +63,7 @@ class WorldData:
         self.step_state_size = int(mujoco.mj_stateSize(scene.model, _STEP_STATE))
 
     def select_model(self, hand_collides: bool) -> "mujoco.MjModel":
-        """Return the variant of the scene's model for the present `released`, in which the hand collides or not."""
+        """Return the variant of the scene's model for the present `released`, with or without hand collisions."""
         key = self.released, hand_collides
         if key not in self._variants:
             self._variants[key] = select_variant(self.scene, *key)

@@ -22,8 +22,8 @@ class ClearanceMonitor:
     """Calculator of the smallest distance between a moving Panda and a moving human hand.
 
     Distances between collision shapes are slow to measure, and are measured at few times only: spheres around the links
-    rule out most times, and bounds on the motion of the links rule out times near a measured one. MuJoCo measures them
-    in a model of its own, whatever the physics engine of the world is.
+    rule out most times, and bounds on the motion of the links rule out times near a measured one. All distances
+    are measured in a separate MuJoCo model, whatever the physics engine of the world is.
 
     Args:
         panda_urdf: Model of the robot.
@@ -56,9 +56,9 @@ class ClearanceMonitor:
         hand_frames: tuple[Array, Array],
         required: Array | None = None,
     ) -> float:
-        """Compute the smallest distance between robot and human hand, minus a required one, over n times (m).
+        """Compute the smallest margin over n times: distance of robot and human hand minus the required distance (m).
 
-        The distance is 0 if robot and hand overlap; the result is at most 3 m.
+        The distance is 0 if robot and hand overlap. The result is at most 3 m.
 
         Args:
             robot: Joint positions (n, 9) of the Panda (rad, m).

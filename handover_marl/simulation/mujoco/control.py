@@ -18,13 +18,13 @@ ABSENT = (0.0, 0.0, -10.0)
 
 
 def compute_controls(worlds: Sequence[WorldData], targets: Array, objects: npt.NDArray[np.float32]) -> Array:
-    """Compute the controls (w, n, c) of w worlds with equally many objects, actuators and mocap bodies in n steps.
+    """Compute the controls (w, n, c) of w worlds in n steps.
 
     Controls are actuator targets, then mocap positions and mocap quaternions wxyz. The positions of the human hand's
     bodies are undefined until `place_hand` writes them.
 
     Args:
-        worlds: States of the worlds.
+        worlds: States of the worlds, which have equally many objects, actuators and mocap bodies.
         targets: Joint targets (w, 9) of the robots (rad, m).
         objects: Joint targets (w, n, m, 6) of the objects (m, rad).
     """
@@ -83,7 +83,7 @@ def place_hand(
         quaternions: Array (n, k, 4) to write quaternions wxyz to.
 
     Returns:
-        Number of steps before the first one with the hand; its contacts need not be computed in them.
+        Number of steps before the first one with the hand; in these steps, the hand cannot have contacts.
     """
     positions[:free_steps] = ABSENT
     if free_steps >= len(positions):

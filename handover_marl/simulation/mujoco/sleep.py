@@ -158,7 +158,7 @@ class SleepState:
     ) -> None:
         """Simulate the robots alone to the end of their reference motions; store when a body is first near each robot.
 
-        A body is near if the spheres around it and around the robot's links may touch.
+        A body is near if the sphere around it is less than 3 cm from a sphere around a link of the robot.
 
         Args:
             worlds: Sleeping worlds, at most 32.

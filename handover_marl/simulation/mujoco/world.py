@@ -33,7 +33,7 @@ from handover_marl.simulation.world import (
 
 Array = npt.NDArray[np.float64]
 
-# Steps of one rollout. Those after a release or an episode's end are discarded, so that more would waste time.
+# Largest number of steps of a rollout. Steps after a release or an episode's end are discarded: more would waste time.
 _ROLLOUT_STEPS = 100
 
 
@@ -58,8 +58,8 @@ class MujocoWorld(World):
         sleep_state: Sleep state of the world, which `prepare_worlds` may end; None once the world is awake.
         reference: Current reference motion.
         row: Last simulated row of the reference motion.
-        robot_target: Nine joint targets of the robot (rad, m) for which the controls were computed; None before the
-            first computation.
+        robot_target: Nine joint targets of the robot (rad, m) for which the coming steps were prepared; None if they
+            must be prepared anew.
         is_tracked: Whether the trajectories of hand and sleeping objects are those under the current reference.
         controls: Computed controls (n, c) of n steps from `controls_row` on.
         controls_row: Row of the reference motion at which `controls` starts.
@@ -119,7 +119,7 @@ class MujocoWorld(World):
         self.keep_steps(simulate_worlds([self], 1), 0, 1)
 
     def rollout(self, robot_target: list[float], steps: int, judge: JudgeFunction, rules: ProtocolConfig) -> int:
-        """Simulate up to `steps` physics steps in one call; return their number."""
+        """Simulate up to `steps` physics steps in one call; return the number of simulated steps."""
         return int(rollout_worlds([self], [robot_target], steps, judge, rules)[0])
 
     @property
@@ -155,7 +155,7 @@ class MujocoWorld(World):
         self._release_pending = True
 
     def read_contacts(self, released: bool) -> Contacts:
-        """Return the contacts of the last step; those of the target with table or objects only if it is `released`."""
+        """Return the contacts of the last step; `released` adds those between the target and table or other objects."""
         if self.sleep_state is not None:
             return Contacts()
         data = self.data
@@ -199,7 +199,7 @@ class MujocoWorld(World):
         self._data = self.sleep_state = None
 
     def keep_steps(self, rollout: MujocoRollout | None, number: int, steps: int) -> None:
-        """Set the world, which has index `number` in a rollout, to its state after `steps` (1 or more) of its steps."""
+        """Set the world to its state after `steps` (1 or more) steps of a rollout, in which its index is `number`."""
         if rollout is not None:
             self.data.set_step(*(array[number, steps - 1] for array in rollout))
         self.row, self._is_state_set = self.row + steps, self.sleep_state is None

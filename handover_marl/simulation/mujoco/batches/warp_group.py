@@ -38,7 +38,7 @@ _FATAL_OVERFLOWS = {
 
 
 class StepControls(NamedTuple):
-    """Controls of r worlds in a physics step, or in c steps, with the steps as second axis.
+    """Controls of r worlds in one physics step; for c steps, the second axis of each array is for the steps.
 
     Attributes:
         targets: Actuator targets (r, u).
@@ -57,11 +57,11 @@ class WarpRollout:
 
     Attributes:
         rows: Numbers (r,) of the worlds.
-        row_indices: Indices (d,) in `rows` of the worlds that are in the first d rows of the engine's arrays.
+        row_indices: Index (d,) in `rows` of the world in each of the first d rows of the engine's arrays.
         scenes: Numbers (d,) of the scenes in the engine's rows.
         released: Whether the target objects in the engine's rows are released, (d,).
-        states: Last states (r, ...) of the worlds while they ran, by name.
-        overflow: Bits (r,) of the engine's buffers that were too small for a world while it ran.
+        states: States (r, ...) of the worlds that `WarpGroup.store_states` has stored last, by MuJoCo's names.
+        overflow: Bits (r,) of MuJoCo Warp's `OverflowType`: the buffers that were too small for each world.
     """
 
     rows: AnyArray
@@ -75,10 +75,10 @@ class WarpRollout:
 class WarpGroup:
     """Worlds that MuJoCo Warp steps together: their models have the same layout, that is, array shapes and constants.
 
-    The batch has n worlds in several groups. Tensors of every group have n rows; it uses those of its own worlds.
+    The batch has n worlds in several groups. Tensors of a group have n rows; only the rows of its worlds are used.
 
     Args:
-        scene: First scene of the group, padded to its layout with absent objects and hulls (`load_padded_model`).
+        scene: Scene with the group's layout, padded with absent objects and hulls (`load_padded_model`).
         count: Number n of worlds in all groups of the batch.
         config: Constants of the worlds.
         arrays: Creator of tensors on the device.
@@ -116,7 +116,7 @@ class WarpGroup:
             robot_joints: Nine joint positions of the robot (rad, m).
             object_joints: Joint positions (m, 6) of the objects: xyz (m), XYZ Euler angles (rad).
         """
-        # Arrays of the model may be replaced, which a running step must not read any more.
+        # Arrays of the model may be replaced; no running step may still read them.
         self._device.synchronize()
         with self._device.use():
             number, is_replaced = self._model.add_scene(scene)
@@ -193,7 +193,7 @@ class WarpGroup:
         rollout.overflow[:] |= xp.where(running, self._views["overflow"][:count], 0)
 
     def release_targets(self, rollout: WarpRollout, released: AnyArray) -> None:
-        """Release the target objects of the worlds of a rollout in a mask `released` (r,), from the next step on."""
+        """Release the target objects of a rollout's worlds where `released` (r,) is True, from the next step on."""
         rollout.released[:] = rollout.released | released[rollout.row_indices]
         with self._device.use():
             self._model.select_released(rollout.scenes, rollout.released)

@@ -1,7 +1,7 @@
 """MuJoCo Warp models whose worlds have different objects and hands.
 
-All worlds of a model have one layout: equal array sizes and constants. The hulls, masses and motors in which worlds
-differ are in rows of the model's arrays, one for each world, which are copied on the device from the world's scene.
+All worlds of a model have one layout: equal array sizes and constants. Worlds differ in hulls, masses and motors. These
+are in arrays of the model with one row for each world. On the device, a row is copied from the world's scene.
 """
 
 import copy
@@ -27,7 +27,7 @@ from handover_marl.simulation.mujoco.models.scene_spec import ABSENT_PREFIX, Mod
 _MESH_ARRAYS = ("mesh_vertnum", "mesh_polynum", "mesh_pos", "mesh_quat")
 _VERTEX_ARRAYS = ("mesh_vert", "mesh_polymapnum")
 _POLYGON_ARRAYS = ("mesh_polynormal", "mesh_polyvertnum")
-# Arrays that others point into, by the array with their addresses.
+# Arrays of addresses, and for each the array that its addresses point into.
 _TARGETS = {"mesh_polyvertadr": "mesh_polyvert", "mesh_polymapadr": "mesh_polymap"}
 
 
@@ -116,7 +116,7 @@ _ROW_FIELDS = (
     "actuator_forcerange",
     "actuator_acc0",
 )
-# Fields that change with the release of the target object, and the suffix of their values after it.
+# Fields that change when the target object is released; the suffix is for their values after the release.
 _RELEASED_FIELDS, _RELEASED = ("geom_dataid", "actuator_forcerange"), "/released"
 # Largest number of degrees of freedom with dense matrices: MuJoCo Warp's limit.
 _MAX_DENSE = 60
@@ -211,7 +211,7 @@ class WarpModel:
         """Copy a scene to the device, unless it is there already.
 
         Returns:
-            Number of the scene, and whether arrays of the model were replaced, so that a captured graph is invalid.
+            Number of the scene, and whether arrays of the model were replaced; if so, captured graphs are invalid.
         """
         if scene in self._scene_numbers:
             return self._scene_numbers[scene], False
@@ -243,7 +243,7 @@ class WarpModel:
         self.select_released(numbers, released)
 
     def select_released(self, numbers: AnyArray, released: AnyArray) -> None:
-        """Set whether the targets in rows 0 to m - 1 are released, a mask (m,); `numbers` (m,) are the rows' scenes."""
+        """Set whether the targets in rows 0 to m - 1 are released, a mask (m,), given the rows' scene numbers (m,)."""
         for name in _RELEASED_FIELDS:
             rows, own = self._rows[name], (self._scenes[key].rows[numbers] for key in (name + _RELEASED, name))
             rows[: len(numbers)] = get_namespace(rows).where(expand_mask(released, rows), *own)

@@ -21,9 +21,9 @@ from handover_marl.simulation.mujoco.engine import wxyz_from_xyzw
 
 Array = npt.NDArray[np.float64]
 
-# Bullet computes a link's inertia from a box that is larger than the link's hulls on each side: by the margin of the
-# hulls and twice that of the compound shape (m), and by another margin for a hull with a pose of its own, which is in
-# one more compound shape (m).
+# Bullet computes a link's inertia from a box. On each side, the box is larger than the link's hulls by their margin and
+# twice that of the compound shape (m). A hull with a pose of its own is in one more compound shape, which adds another
+# margin (m).
 _HULL_PADDING, _POSED_HULL_PADDING = 0.003, 0.001
 
 

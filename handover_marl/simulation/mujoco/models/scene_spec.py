@@ -71,7 +71,7 @@ class ModelPadding:
     """Sizes to which a scene's model is padded, so that the models of many scenes have one layout.
 
     Absent objects and hulls are in the model as small bodies and tetrahedra. The target object has each hull twice:
-    one collides with the robot, the other, once the object is released, with everything else.
+    one collides with the robot. Once the object is released, the other one collides with everything else.
 
     Attributes:
         objects: Number of objects in the model.
