@@ -42,7 +42,7 @@ def get_cache_folder(kind: str) -> Path:
 def get_cache_path(kind: str, urdf: Path, *parameters: bytes) -> Path:
     """Return the path of the cache file for an object model in the folder `get_cache_folder(kind)`.
 
-    The file name has a hash of the URDF file, its collision meshes and `parameters`, the bytes of all other inputs.
+    The file name has a hash of the URDF file, its collision meshes and `parameters`: all other inputs of the arrays.
     """
     digest = hashlib.sha256(b"".join(parameters))
     for path in (urdf, *list_mesh_files(urdf, "collision")):

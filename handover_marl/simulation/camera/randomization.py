@@ -16,7 +16,7 @@ from handover_marl.simulation.camera.optics import Pinhole, to_rows
 
 @dataclass(frozen=True)
 class CameraRandomization(CheckedConfig):
-    """Largest deviations of cameras from their configuration, drawn uniformly at the start of each episode.
+    """Bounds on random deviations of cameras from their configuration, drawn uniformly at the start of each episode.
 
     The default changes nothing. Calibration matrices and point clouds are computed for the configured camera, so that a
     deviation of the camera is an error of the points.

@@ -194,7 +194,7 @@ class SimulationCache:
         self._robots: dict[RobotOnlyModel, RobotOnlySimulation] = {}
 
     def load_scene(self, scene: SceneModel) -> WorldData:
-        """Create the data of a world of a scene, in the initial state of the scene's model."""
+        """Create the data of a world that simulates a scene, in the initial state of the scene's model."""
         layout = _get_layout(scene.model)
         batch = self._batches.pop(layout, None)
         if batch is None or not _accepts(batch, scene.model):
@@ -206,7 +206,7 @@ class SimulationCache:
         return WorldData(scene, batch)
 
     def get_robot_simulation(self, model: RobotOnlyModel) -> RobotOnlySimulation:
-        """Return the simulation of a model of the robot without human hand and objects, shared by all worlds."""
+        """Return the simulation of the robot without human hand and objects in a model; all worlds share it."""
         if model not in self._robots:
             self._robots[model] = RobotOnlySimulation(model)
         return self._robots[model]

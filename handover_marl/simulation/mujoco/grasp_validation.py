@@ -86,7 +86,7 @@ class GraspValidator:
     """Validator of grasps of one object, in a MuJoCo model of the object and a Panda hand without an arm.
 
     Args:
-        object_urdf: Model of the object, on HandoverSim's chain of six joints.
+        object_urdf: Model of the object, with HandoverSim's chain of six joints.
         config: Conditions that a valid grasp must satisfy; None for the defaults.
         panda_urdf: Model of the Panda from which the hand link and the fingers are taken.
     """

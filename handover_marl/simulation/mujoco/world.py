@@ -132,7 +132,7 @@ class MujocoWorld(World):
 
     @property
     def remaining_steps(self) -> int:
-        """Largest number of steps that can be simulated at once, valid for a sleeping world after `prepare_worlds`."""
+        """Largest number of steps that can be simulated at once; for a sleeping world, call `prepare_worlds` first."""
         left = len(self.reference.objects) - (self.row + 1)
         return left if self.sleep_state is None else min(left, self.sleep_state.count_free_steps(self.row + 1))
 
@@ -295,7 +295,7 @@ def prepare_worlds(worlds: Sequence[MujocoWorld], robot_targets: Sequence[list[f
 
 
 def simulate_worlds(worlds: Sequence[MujocoWorld], steps: int) -> MujocoRollout | None:
-    """Simulate the next steps of prepared worlds with the same `rollout_key`, at most the `remaining_steps` of any.
+    """Simulate the next `steps` steps of prepared worlds with one `rollout_key`; none may have fewer `remaining_steps`.
 
     The worlds keep their states until `MujocoWorld.keep_steps`. The rollout of sleeping worlds is None.
     """
