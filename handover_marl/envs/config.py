@@ -26,9 +26,9 @@ class EnvConfig(SceneConfig):
         control_period: Time for which an action holds (s); a whole number of milliseconds, at most 5 s.
         render_mode: None, "rgb_array" (needs no screen) or "human" (PyBullet's window, in exact and fast physics).
         camera: Camera of the "rgb_array" images; default: `CameraConfig()`, which shows the scene from the side.
-        rewards: Preset rewards "sparse", 1 for a completed handover, or "shaped", with potential-based
-            shaping and costs in addition; `RewardWeights`, weights of reward terms; a function of a `Transition` that
-            returns terms by agent; a combination (`combine_rewards`); or text `module:name` that names one of these.
+        rewards: Preset "sparse" (1 for a completed handover) or "shaped" (also potential-based shaping and
+            costs); `RewardWeights`, the weights of reward terms; a function that returns terms by agent for a
+            `Transition`; a combination (`combine_rewards`); or text `module:name` that names one of these.
         max_cycles: Control steps after which an episode is truncated; default: never.
         obs_mode: Observation mode of the receiver: parts joined by "+", such as "state" or "rgb+depth+pointcloud"; see
             `handover_marl.episode.spaces.OBS_PARTS`. Camera parts contain the data of each camera in `cameras`.

@@ -24,15 +24,15 @@ from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyIndices, ArrayFactory
 from handover_marl.policies.registry import import_reference
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
-#: Function from a transition to the reward terms by agent and name.
+#: Function that returns the reward terms of a `Transition`, by agent and name.
 CustomReward: TypeAlias = Callable[[Transition], Mapping[str, Mapping[str, float]]]
 
 
 def declare_terms(giver: tuple[str, ...] = (), receiver: tuple[str, ...] = ()) -> Callable[[_Function], _Function]:
     """Return a decorator that declares the names of the terms that a user-defined reward returns.
 
-    Without the decorator, the names are taken from a first call with a transition in which nothing moves. Declared
-    terms that a call does not return are 0.
+    Without the decorator, the library calls the reward once with a transition in which nothing moves, to learn the
+    names. Terms that a later call does not return are 0.
 
     Args:
         giver: Names of the giver's terms.
@@ -57,19 +57,19 @@ class CombinedRewards:
     parts: tuple[tuple[float, Any], ...]
 
 
-#: Value of `rewards`: name, weights, function, combination, or text `module:name`.
+#: Value of `rewards`: name of a preset, weights, function, combination, or text `module:name`.
 RewardLike: TypeAlias = str | RewardWeights | CombinedRewards | CustomReward
 
 
 def combine_rewards(*parts: RewardLike | tuple[float, RewardLike]) -> CombinedRewards:
-    """Combine rewards to their weighted sum; infos contain the weighted terms of all parts.
+    """Combine rewards into a weighted sum; infos contain the weighted terms of all parts.
 
     Args:
         parts: Rewards, each a value that `rewards` accepts, or a pair of weight and reward.
 
     Raises:
         OptionError: There is no part, a weight is not a finite number, or a part is not a reward.
-        UnknownNameError: There is no reward of a name.
+        UnknownNameError: A name is not the name of a reward.
     """
     if not parts:
         raise OptionError("combine_rewards() must have at least one reward, got none")
@@ -84,7 +84,7 @@ def combine_rewards(*parts: RewardLike | tuple[float, RewardLike]) -> CombinedRe
 
 
 def resolve_rewards(rewards: Any) -> Any:
-    """Return the `RewardWeights`, `CombinedRewards` or function of a transition that a value of `rewards` refers to."""
+    """Return the rewards that a preset's name or a text `module:name` stands for; return other rewards unchanged."""
     if isinstance(rewards, str) and ":" in rewards:
         rewards = import_reference("rewards", rewards, (*REWARDS, "module:name"))
     if isinstance(rewards, str):
@@ -99,7 +99,7 @@ def resolve_rewards(rewards: Any) -> Any:
 
 
 def set_discount(rewards: RewardLike, discount: float) -> Any:
-    """Return rewards with a learner's discount factor in the shaping terms of all parts; functions stay unchanged."""
+    """Return rewards with the discount factor `discount` in all shaping terms; functions stay unchanged."""
     found = resolve_rewards(rewards)
     if isinstance(found, RewardWeights):
         return replace(found, gamma=discount)
@@ -109,16 +109,16 @@ def set_discount(rewards: RewardLike, discount: float) -> Any:
 
 
 class RewardSource:
-    """Source of both agents' reward terms in n episodes; the terms of an agent must have different names.
+    """Computation of both agents' reward terms in n episodes; the terms of an agent must have different names.
 
-    The argument `rows` (r,) of methods has the indices of episodes. A user-defined reward is copied deeply for each
-    episode, and a reward class is instantiated once for each, so that episodes share no attributes.
+    The argument `rows` (r,) of methods has the indices of r episodes. Each episode has its own deep copy of a
+    user-defined function, or its own instance of a user-defined class, so that episodes share no attributes.
 
     Args:
         rewards: Any value that `rewards` accepts.
         goal: (3,) position to which the gripper must bring the object, world frame (m).
         count: Number n of episodes.
-        arrays: Creator of the arrays of the terms' values.
+        arrays: Creator of the arrays that `compute` returns.
     """
 
     def __init__(
@@ -133,7 +133,7 @@ class RewardSource:
                 self._parts.append((weight, CustomRewardSource(functions, arrays)))
 
     def start(self, rows: AnyIndices, step: StepData) -> TermNames:
-        """Start the episodes `rows`, whose first states are in `step`; return the names of the terms by agent."""
+        """Start the episodes `rows` with their first states in `step`; return the names of the terms by agent."""
         names: dict[str, list[str]] = {agent: [] for agent in AGENTS}
         for _, part in self._parts:
             for agent, own in part.start(rows, step).items():
@@ -146,7 +146,7 @@ class RewardSource:
         return names
 
     def compute(self, rows: AnyIndices, step: StepData) -> dict[str, ArrayTerms]:
-        """Return the weighted values (r,) of the terms in a control step of the episodes `rows`, by agent and name."""
+        """Return the weighted terms (r,) of the last control step of the episodes `rows`, by agent and name."""
         terms: dict[str, ArrayTerms] = {agent: {} for agent in AGENTS}
         for weight, part in self._parts:
             for agent, own in part.compute(rows, step).items():
@@ -163,10 +163,10 @@ def _list_parts(rewards: RewardLike, weight: float = 1.0) -> list[tuple[float, A
 
 
 class CustomRewardSource:
-    """Source of the terms of a user-defined reward; raises RewardError for wrong names or values of terms.
+    """Computation of the terms of a user-defined reward; raises RewardError for wrong names or values of terms.
 
-    `functions` has one function of a transition for each episode. If a function has a method `reset(transition)`, the
-    method is called at the start of the episode.
+    `functions` has one function of a transition for each episode. A method `reset(transition)` of the function, if
+    there is one, is called at the start of the episode.
     """
 
     def __init__(self, functions: Sequence[CustomReward], arrays: ArrayFactory) -> None:

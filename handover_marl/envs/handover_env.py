@@ -60,8 +60,8 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
     checked every physics step (1 ms), so that the last control step of an episode may be shorter.
 
     Observation: a dictionary of arrays for each agent; world frame, m, rad, s, quaternions xyzw.
-        - receiver: joints, gripper, objects and human hand in the mode "state", camera data in
-          others; keys and shapes: `handover_marl.episode.observations.receiver_observation_space`.
+        - receiver: the parts that `obs_mode` names, "state" (joints, gripper, objects and human hand) or camera
+          data; keys and shapes: `handover_marl.episode.observations.receiver_observation_space`.
         - giver: the state, the recording's next half second and the current deviation; keys and
           shapes: `handover_marl.episode.observations.giver_observation_space`.
 
@@ -82,7 +82,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         - `scene_id`: number of the scene.
         - `status`: bits of `handover_marl.EpisodeStatus`.
         - `steps`: physics steps since the start.
-        - `release_step`: physics step in which the person released the object, or -1.
+        - `release_step`: physics step in which the person released the object, or -1 before a release.
         - `release_reason`: reason of the release, an index into `handover_marl.episode.referee.RELEASE_REASONS`, or -1.
         - `CAMERA_K`, `CAMERA_extrinsics`: matrices of `camera_info` for each camera in the receiver's observation, e.g.
           `wrist_K`; only the receiver's infos have them.
@@ -160,7 +160,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
 
     @property
     def policy_context(self) -> PolicyContext:
-        """Robot, rules, objects and grasps, which constructors of policies for this environment take."""
+        """Context for constructors of policies: robot, rules, objects and grasps of this environment."""
         return make_policy_context(self.dataset, self.config.world_config, self.config.setup)
 
     def observation_space(self, agent: str) -> spaces.Dict:
@@ -333,9 +333,9 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         return int(scene_id)
 
     def set_partner(self, agent: str, policy: EpisodePolicy, seed: int | None) -> None:
-        """Let a policy act for an agent until the next reset, at its own control period and seeded as in evaluations.
+        """Let a policy act for an agent until the next reset, at the policy's own control period.
 
-        Actions that `step` gets for this agent, "giver" or "receiver", are not used. `seed` is the seed of the run.
+        `agent` is "giver" or "receiver"; `step` ignores its actions. The run seed `seed` is used as in evaluations.
 
         Raises:
             PolicyError: The policy is a giver and fails at the start of the episode.
@@ -347,10 +347,10 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
             self._episode.seed_camera(derive_seed(seed, "camera"))
 
     def act_for_partner(self) -> Action:
-        """Return the action of the policy that `set_partner` has set, at the present physics step.
+        """Return the present action of the policy that `set_partner` has set; call the policy if a decision is due.
 
         Raises:
-            ActionError, PolicyError, OptionError: See `EpisodeAgent.decide`.
+            ActionError, PolicyError, OptionError: The action is invalid, the policy fails, or its hold time is invalid.
             ResetNeededError: No policy has been set since the last reset.
         """
         if self._partner is None:
@@ -402,10 +402,10 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
 
 
 def draw_seeds(rng: np.random.Generator, config: WorldConfig) -> tuple[int, int]:
-    """Return 32-bit seeds of the noise on the robot's initial joints and of the cameras.
+    """Draw two 32-bit seeds: of the noise on the robot's initial joint positions, and of the cameras.
 
-    The first is drawn from `rng` if there is noise on the joints, else it is 0. The second is spawned from `rng`, which
-    does not change the numbers that `rng` draws.
+    The first seed is drawn from `rng`, or is 0 if the configuration has no such noise. The second seed is spawned from
+    `rng` and does not change the numbers that `rng` draws later.
     """
     robot_seed = int(rng.integers(2**32)) if config.initial_joint_noise else 0
     seeds = rng.bit_generator.seed_seq.spawn(1)  # type: ignore[attr-defined]

@@ -1,8 +1,8 @@
 """Reward terms and their weighted sums; the preset rewards are weights.
 
-`docs/reference/rewards.md` has the formula of every term, and its unit. The object is grasped while both fingers touch
-it. Terms with a length or a time in their unit are sums or integrals over time: their sum over an episode hardly
-depends on the control period.
+`docs/reference/rewards.md` has the formula and the unit of every term. The object is grasped while both fingers touch
+it. If the unit of a term contains a length or a time, the sum of the term over an episode hardly depends on the control
+period.
 
 A shaping term (Ng et al., "Policy invariance under reward transformations", ICML 1999) is gamma times the potential
 after a step minus the potential before it; the potential is 0 once the episode has terminated. The discounted sum of a
@@ -41,12 +41,12 @@ TermNames: TypeAlias = Mapping[str, Iterable[str]]
 #: Distance beyond which the term `clearance` is 0 (m).
 CLEARANCE_MARGIN = 0.1
 # Columns of a stored state: time (s), pose of the hand link, position of the object (m), whether both fingers touch it,
-# wrist (m, NaN if there is no hand) and its displacement from the recording (m), and whether the object is held out.
+# wrist (m, NaN if there is no hand) and its displacement from the recording (m), whether the person holds the object.
 _TIME, _GRIPPER, _HAND_LINK, _OBJECT, _GRASPED = 0, slice(1, 8), slice(1, 4), slice(8, 11), 11
 _WRIST, _DISPLACEMENT, _OFFERED, _SIZE = slice(12, 15), slice(15, 18), 18, 19
-# Stored states of an episode, the newest last; four positions determine a third difference.
+# Number of stored states of an episode: four positions determine a third difference.
 _COUNT = 4
-# Durations of control steps are multiples of 1 ms, known from times in single precision.
+# Times have single precision: durations are rounded to 1 ms, and are equal if they differ by less than 0.1 ms.
 _STEPS_PER_SECOND, _SAME_DURATION = 1000.0, 1e-4
 
 
@@ -77,24 +77,24 @@ class StepBatch:
 
 
 def compute_outcome(outcome: EpisodeStatus, steps: StepBatch) -> AnyArray:
-    """Return (r,) 1 in episodes whose status after the step has the bit `outcome`, else 0."""
+    """Return (r,): 1 in episodes whose status after the step has the bit `outcome`, else 0."""
     return widen((steps.status & int(outcome)) != 0)
 
 
 def compute_distance_potential(steps: StepBatch, states: AnyArray) -> AnyArray:
-    """Return (r,) 1 minus the distance (m) from fingertips to object, 1 if grasped, in stored states (r, 19)."""
+    """Return (r,) for stored states (r, 19): 1 if grasped, else 1 minus the distance (m) from fingertips to object."""
     fingertips = transform_points(states[:, _GRIPPER], make_constant(FINGERTIPS, states))
     is_grasped = states[:, _GRASPED]
     return 1.0 - (1.0 - is_grasped) * compute_lengths(fingertips - states[:, _OBJECT])
 
 
 def compute_grasp_potential(steps: StepBatch, states: AnyArray) -> AnyArray:
-    """Return (r,) 1 where both fingers touch the object, else 0, in stored states (r, 19)."""
+    """Return (r,) for stored states (r, 19): 1 if both fingers touch the object, else 0."""
     return states[:, _GRASPED]
 
 
 def compute_goal_potential(steps: StepBatch, states: AnyArray) -> AnyArray:
-    """Return (r,) 1 minus the distance (m) from hand link to goal, 0 unless grasped, in stored states (r, 19)."""
+    """Return (r,) for stored states (r, 19): 1 minus the distance (m) from hand link to goal if grasped, else 0."""
     return states[:, _GRASPED] * (1.0 - compute_lengths(states[:, _HAND_LINK] - steps.goal))
 
 
@@ -109,13 +109,13 @@ def compute_shaping(potential: Callable[[StepBatch, AnyArray], AnyArray], steps:
 
 
 def compute_effort(steps: StepBatch) -> AnyArray:
-    """Return (r,) the squared speed at which the wrist's displacement changes, times the duration (m^2/s)."""
+    """Return (r,): the squared speed at which the wrist's displacement changes, times the duration (m^2/s)."""
     change = steps.states[:, -1, _DISPLACEMENT] - steps.states[:, -2, _DISPLACEMENT]
     return compute_lengths(change) ** 2 / steps.duration
 
 
 def compute_discomfort(steps: StepBatch) -> AnyArray:
-    """Return (r,) the wrist's displacement (m) plus a third of its rotation (rad), times the duration (s)."""
+    """Return (r,): the wrist's displacement (m) plus a third of its rotation (rad), times the duration (s)."""
     deviation = widen(steps.state["deviation"])
     return (compute_lengths(deviation[:, 1:4]) + compute_lengths(deviation[:, 4:]) / 3.0) * steps.duration
 
@@ -129,7 +129,7 @@ def compute_path(position: slice, steps: StepBatch) -> AnyArray:
 
 
 def compute_jerk(position: slice, steps: StepBatch) -> AnyArray:
-    """Return (r,) the norm of the third difference of positions, in columns `position`, over duration^2 (m/s^2).
+    """Return (r,): the norm of the third difference of the positions in columns `position`, over duration^2 (m/s^2).
 
     It is 0 if one of the four positions is NaN, or if the three steps between them differ in duration.
     """
@@ -141,14 +141,14 @@ def compute_jerk(position: slice, steps: StepBatch) -> AnyArray:
 
 
 def compute_clearance(steps: StepBatch) -> AnyArray:
-    """Return (r,) the duration times (min(d, 0.1) - 0.1), d the distance (m) of gripper and hand; 0 without a hand."""
+    """Return (r,): duration times (min(d, 0.1) - 0.1), with d of `compute_hand_distances` (m s); 0 without a hand."""
     distances, is_present = compute_hand_distances(steps.state), steps.state["hand_present"][:, 0] != 0.0
     missing = distances.clip(max=CLEARANCE_MARGIN) - CLEARANCE_MARGIN
     return widen(is_present) * missing * steps.duration
 
 
 def compute_hand_distances(state: Mapping[str, AnyArray]) -> AnyArray:
-    """Return (r,) the distance (m) of the open gripper's boxes from the nearest hand joint, in a whole state."""
+    """Return distances (r,) in m from the open gripper's boxes to the nearest human hand joint in `StepBatch.state`."""
     points = inverse_transform_points(state["gripper_pose"][:, None], state["hand_keypoints"])
     xp, points, centers, halves = as_arrays(points, GRIPPER_BOX_CENTERS, GRIPPER_BOX_HALF_SIZES)
     return xp.min(compute_box_distances(points[:, :, None] - centers, halves), axis=(1, 2)).clip(0.0)
@@ -159,7 +159,7 @@ def _replace_nan(values: AnyArray) -> AnyArray:
     return xp.where(xp.isnan(values), 0.0, values)
 
 
-#: Functions from the last control steps to values (r,) of reward terms, by name; units: docs/reference/rewards.md.
+#: Functions that return the values (r,) of each reward term for a `StepBatch`; units: docs/reference/rewards.md.
 TERMS: dict[str, Callable[[StepBatch], AnyArray]] = {
     "success": functools.partial(compute_outcome, EpisodeStatus.SUCCESS),
     "contact": functools.partial(compute_outcome, EpisodeStatus.HUMAN_CONTACT),
@@ -179,7 +179,7 @@ TERMS: dict[str, Callable[[StepBatch], AnyArray]] = {
     "time": lambda steps: steps.duration,
     "clearance": compute_clearance,
 }
-# Terms that depend on the status alone, and on forces.
+# Terms that depend on the status alone, and terms that depend on forces.
 _OUTCOMES, _FORCES = {"success", "contact", "drop"}, {"robot_object_force", "robot_hand_force"}
 
 
@@ -198,7 +198,7 @@ class RewardWeights:
         gamma: Discount factor of the shaping terms; should equal the learner's discount factor.
 
     Raises:
-        UnknownNameError: There is no reward term of a name.
+        UnknownNameError: A name is not the name of a reward term.
         OptionError: A weight is not a finite number, or `gamma` is not from 0 to 1.
     """
 
@@ -223,8 +223,8 @@ class RewardWeights:
 
 #: Reward 1 to both agents in the step that completes the handover.
 SPARSE = RewardWeights({"success": 1.0}, {"success": 1.0})
-#: Shaping for the receiver and costs for the giver in addition. Success outweighs the potentials that are lost at the
-#: end of the episode.
+#: Success, contact and drop for both agents, shaping for the receiver, and costs of motion and waiting for the giver.
+#: The receiver's reward for success outweighs the potentials that it loses at the end of the episode.
 SHAPED = RewardWeights(
     {"success": 3.0, "distance": 0.5, "grasp": 0.5, "goal": 0.5, "contact": -0.5, "drop": -0.5},
     {"success": 1.0, "effort": -0.05, "discomfort": -0.02, "waiting": -0.02, "contact": -0.5, "drop": -0.5},
@@ -234,11 +234,11 @@ REWARDS = {"sparse": SPARSE, "shaped": SHAPED}
 
 @dataclass(frozen=True, eq=False)
 class StepData:
-    """Data of r episodes after a control step, read only if a reward depends on them.
+    """Data of r episodes after a control step; rewards call the functions only if they need the data.
 
     Attributes:
         status: Bits (r,) of `EpisodeStatus`.
-        read_state: Function that takes whether forces are needed, and returns arrays (r, ...) by key: the full state;
+        read_state: Function of a flag, whether forces are needed. It returns arrays (r, ...) by key: the full state;
             the giver's `deviation` and `holding`; `grasped` (r,), whether both fingers of the robot touch the object;
             and, if needed, `robot_object_force` and `robot_hand_force` (r,), sums of the robot's normal forces (N).
         read_transitions: Function that returns the r transitions.
@@ -250,7 +250,7 @@ class StepData:
 
 
 class WeightedRewardSource:
-    """Source of the library's reward terms (`TERMS`), each multiplied by its weight, in `count` episodes.
+    """Computation of the library's reward terms (`TERMS`), each multiplied by its weight, in `count` episodes.
 
     `goal` (3,) is the position to which the gripper must bring the object, world frame (m).
     """

@@ -20,8 +20,8 @@ _NO_CONTACTS = Contacts()
 class Transition:
     """One control step: observations before it, actions, observations after it.
 
-    World frame; m, rad, s, N; quaternions xyzw. Observations and actions are read-only copies of the environment's
-    own, not the values of a wrapper, features or action scheme.
+    World frame; m, rad, s, N; quaternions xyzw. Observations and actions are read-only copies of those of the
+    innermost environment, without the changes by wrappers, features and action schemes.
 
     Attributes:
         observations: Observation before the step, by agent ("giver", "receiver"); elements of the
@@ -56,12 +56,12 @@ class Transition:
 
     @property
     def state(self) -> Observation:
-        """Full state before the step: the giver's observation, in every observation mode."""
+        """Full state before the step, whatever the observation mode: the giver's observation."""
         return self.observations[GIVER]
 
     @property
     def next_state(self) -> Observation:
-        """Full state after the step: the giver's observation, in every observation mode."""
+        """Full state after the step, whatever the observation mode: the giver's observation."""
         return self.next_observations[GIVER]
 
     @property
@@ -71,7 +71,7 @@ class Transition:
 
 
 class TransitionRecorder:
-    """Recorder that makes the transition of each control step from its observations.
+    """Recorder that makes the transition of each control step from the observations before and after it.
 
     Args:
         control_period: Time for which an action holds (s).

@@ -37,9 +37,9 @@ _NONE = -1
 class EncodedEpisodeBatch:
     """Batch of episodes of one configuration, with their rewards, partner, features and action schemes.
 
-    An episode equals an episode of a single environment with the wrappers `control_agent` and `encode`. The argument
-    `rows` (r,) of methods contains the indices of the episodes to which a method applies. The attribute `arrays` makes
-    all arrays: NumPy arrays, or PyTorch tensors on the simulation's device.
+    An episode runs as in a single environment with the wrappers `control_agent` and `encode`. The argument `rows` (r,)
+    of methods has the indices of the episodes to which a method applies. The attribute `arrays` makes all arrays:
+    NumPy arrays, or PyTorch tensors on the simulation's device.
 
     Args:
         template: Single environment of the configuration, with its wrappers; it is not simulated.
@@ -83,8 +83,8 @@ class EncodedEpisodeBatch:
     def start(self, row: int, scene: Scene, seed: int | None, robot_seed: int, camera_seed: int) -> None:
         """Start the episode `row` in a scene.
 
-        The seed of the partner is derived from the run seed `seed`; `robot_seed` and `camera_seed` are those of
-        `draw_seeds`.
+        The seed of the partner is derived from the run seed `seed`; `draw_seeds` returns `robot_seed` and
+        `camera_seed`.
         """
         episodes, rows = self._episodes, self.arrays.asarray([row])
         episodes.reset(row, scene, robot_seed)
@@ -102,7 +102,7 @@ class EncodedEpisodeBatch:
         self._rewards.start(row)
 
     def clear_rewards(self, rows: AnyIndices) -> None:
-        """Set rewards and reward terms of the episodes `rows` to 0; `advance` adds to them until the next call."""
+        """Set the sums of rewards and reward terms of the episodes `rows` to 0; each `advance` adds to the sums."""
         self._rewards.clear(rows)
 
     def have_ended(self, rows: AnyIndices) -> AnyArray:
@@ -110,7 +110,7 @@ class EncodedEpisodeBatch:
         return self._terminated[rows] | self._truncated[rows]
 
     def find_rows_without_outputs(self, rows: AnyIndices) -> AnyIndices:
-        """Return the `rows` whose running episode needs no network outputs now; none with two agents or no scheme."""
+        """Return those of `rows` whose running episode needs no outputs now; none with two agents or no scheme."""
         if len(self._agents) > 1 or not self._schemes:
             return rows[:0]
         (agent,) = self._agents
@@ -213,18 +213,18 @@ class EncodedEpisodeBatch:
 
 
 class BatchedEnvGroup:
-    """Environments of one configuration whose episodes are simulated together; see `batch.EnvGroup`.
+    """Environments of one configuration whose episodes are simulated together; see `EnvGroup`.
 
     Environment k behaves like a single environment with the wrappers `control_agent` and `encode` that draws the same
     scenes. Action schemes may need no outputs in the first control periods of an episode, for example while the robot
-    waits. These periods of the next episode are simulated together with the current episode, which is faster than
-    simulating these periods alone after a reset.
+    waits. With `prefetches`, the group simulates these periods of the next episode together with the current episode,
+    which is faster than to simulate them alone after a reset.
 
     Args:
         template: Single environment of the configuration, with its wrappers; it is not simulated.
         count: Number n of environments.
-        prefetches: Whether the next episodes may be simulated in advance, because `reset` gets no seed and no
-            options after the end of an episode.
+        prefetches: Whether to begin next episodes in advance, with one agent and an action scheme. A `reset` with a
+            seed or options discards the next episode.
         load_scene: Function that loads a scene by its number.
         backend: Engine and device of the simulation.
     """
@@ -250,7 +250,7 @@ class BatchedEnvGroup:
         self._rngs_before: list[tuple[np.random.Generator, np.random.Generator] | None] = [None] * count
 
     def reset(self, rows: Indices, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
-        """Start episodes, and simulate them until an action scheme needs outputs; see `batch.EnvGroup.reset`."""
+        """Start episodes, and simulate them until an action scheme needs outputs; see `EnvGroup.reset`."""
         for row, seed in zip(rows.tolist(), seeds, strict=True):
             before = self._rngs_before[row]
             if (seed is not None or options) and self._next[row] != _NONE and before is not None:
@@ -280,7 +280,7 @@ class BatchedEnvGroup:
         return episodes.make_result(current)
 
     def step(self, rows: Indices, actions: ByAgent) -> EnvResult:
-        """Let the agents act for one control period, or until a scheme needs outputs; see `batch.EnvGroup.step`."""
+        """Let the agents act for one control period, or until a scheme needs outputs; see `EnvGroup.step`."""
         episodes, current = self._episodes, self.arrays.asarray(self._current[rows])
         without_next = rows[self._next[rows] == _NONE] if self._prefetches else rows[:0]
         for row in without_next.tolist():

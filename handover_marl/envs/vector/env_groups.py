@@ -19,7 +19,7 @@ from handover_marl.geometry.arrays import NUMPY_ARRAYS, Indices
 
 
 class SequentialEnvGroup:
-    """Group of `count` environments that `make` makes one by one, each simulated on its own; see `batch.EnvGroup`."""
+    """Group of `count` environments that `make` makes one by one, each simulated on its own; see `EnvGroup`."""
 
     arrays = NUMPY_ARRAYS
 
@@ -27,7 +27,7 @@ class SequentialEnvGroup:
         self.envs = [make() for _ in range(count)]
 
     def reset(self, rows: Indices, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
-        """Start episodes in the environments `rows` (r,), with a seed for each; see `batch.EnvGroup.reset`."""
+        """Start episodes in the environments `rows` (r,), with a seed for each; see `EnvGroup.reset`."""
         own_options = None if options is None else dict(options)
         starts = [
             self.envs[row].reset(seed=seed, options=own_options) for row, seed in zip(rows.tolist(), seeds, strict=True)
@@ -39,7 +39,7 @@ class SequentialEnvGroup:
         return EnvResult(self._stack(observations), rewards, flags, flags, _stack_infos(infos))
 
     def step(self, rows: Indices, actions: ByAgent) -> EnvResult:
-        """Step the environments `rows` (r,) with actions (r, ...) by agent; see `batch.EnvGroup.step`."""
+        """Step the environments `rows` (r,) with actions (r, ...) by agent; see `EnvGroup.step`."""
         steps = [
             self.envs[row].step({agent: values[number] for agent, values in actions.items()})
             for number, row in enumerate(rows.tolist())
@@ -75,12 +75,12 @@ def _stack_infos(infos: Sequence[ByAgent]) -> ByAgent:
 
 
 class ThreadedEnvGroup:
-    """Environments in groups that are simulated at the same time, each in its own thread; see `batch.EnvGroup`.
+    """Environments in groups that are simulated at the same time, each in its own thread; see `EnvGroup`.
 
     If the caller is interrupted, a group ends its call before it begins the next one.
 
     Args:
-        make: Function that makes the environments of a group; it gets the number of these environments.
+        make: Function that makes the environments of a group, given their number.
         count: Number of environments.
         n_groups: Number of groups, at most `count`.
     """
@@ -93,14 +93,14 @@ class ThreadedEnvGroup:
         self._threads = [ThreadPoolExecutor(1) for _ in self._groups]
 
     def reset(self, rows: Indices, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
-        """Start episodes in the environments `rows` (r,), with a seed for each; see `batch.EnvGroup.reset`."""
+        """Start episodes in the environments `rows` (r,), with a seed for each; see `EnvGroup.reset`."""
         return self._map(
             rows,
             lambda group, group_rows, indices: group.reset(group_rows, [seeds[one] for one in indices], options),
         )
 
     def step(self, rows: Indices, actions: ByAgent) -> EnvResult:
-        """Step the environments `rows` (r,) with checked actions (r, ...) by agent; see `batch.EnvGroup.step`."""
+        """Step the environments `rows` (r,) with checked actions (r, ...) by agent; see `EnvGroup.step`."""
         return self._map(rows, lambda group, group_rows, indices: group.step(group_rows, select_rows(actions, indices)))
 
     def render(self) -> list[Any] | None:
@@ -131,14 +131,14 @@ class ThreadedEnvGroup:
 
 
 class ProcessEnvGroup:
-    """Environments of one configuration in a process of their own; see `batch.EnvGroup`.
+    """Environments of one configuration in a process of their own; see `EnvGroup`.
 
     Threads of one process run at the same time only while MuJoCo simulates; processes always do. The process starts at
     once. The first call waits for the process, and raises the errors of `make`. Calls must not be interrupted, so that
     each answer belongs to its call; `ThreadedEnvGroup` calls from a thread, in which no signals are handled.
 
     Args:
-        make: Function that makes the environments and gets their number; must be picklable by value.
+        make: Function that makes the environments, given their number; must be picklable by value.
         count: Number of environments.
     """
 
@@ -154,12 +154,12 @@ class ProcessEnvGroup:
         self._is_ready = self._is_closed = False
 
     def reset(self, rows: Indices, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
-        """Start episodes in the environments `rows` (r,), with a seed for each; see `batch.EnvGroup.reset`."""
+        """Start episodes in the environments `rows` (r,), with a seed for each; see `EnvGroup.reset`."""
         result: EnvResult = self._call("reset", rows, seeds, options)
         return result
 
     def step(self, rows: Indices, actions: ByAgent) -> EnvResult:
-        """Step the environments `rows` (r,) with checked actions (r, ...) by agent; see `batch.EnvGroup.step`."""
+        """Step the environments `rows` (r,) with checked actions (r, ...) by agent; see `EnvGroup.step`."""
         result: EnvResult = self._call("step", rows, actions)
         return result
 

@@ -71,7 +71,7 @@ def _select(values: Any, rows: AnyArray | slice | int) -> Any:
 
 
 def move_to_device(array: npt.NDArray[Any], values: Any) -> AnyArray:
-    """Return a NumPy array as an array or tensor on the device of the arrays in the nested dictionaries `values`."""
+    """Convert a NumPy array to the kind and device of the arrays in the nested dictionaries `values`."""
     like = _first_array(values)
     return get_namespace(like).asarray(array, device=like.device)
 
@@ -103,9 +103,9 @@ def mask_infos(infos: Mapping[str, AnyArray], mask: Flags, arrays: ArrayFactory)
 def make_final_infos(
     observations: Any, infos: Mapping[str, AnyArray], ended: Flags, arrays: ArrayFactory
 ) -> dict[str, Any]:
-    """Return an agent's infos in Gymnasium's form about episodes that ended in a step and were reset in it.
+    """Return the keys "final_obs" and "final_info" of an agent's infos, and their masks, in Gymnasium's form.
 
-    Observations and infos (n, ...) are those after the step, before the resets; `ended` (n,) masks the episodes.
+    Observations and infos (n, ...) are those after the step, before the resets; `ended` (n,) masks the ended episodes.
     """
     final_obs = np.full(len(ended), None, dtype=object)
     for row in np.flatnonzero(ended).tolist():
@@ -121,9 +121,9 @@ def _first_array(values: Any) -> AnyArray:
 
 
 class EnvGroup(Protocol):
-    """Interface of environments that are simulated together, in arrays that the attribute `arrays` creates.
+    """Interface of environments that are simulated together; the attribute `arrays` creates their arrays.
 
-    The argument `rows` of methods has indices of environments, a NumPy array.
+    The argument `rows` of methods is a NumPy array with the indices of environments.
     """
 
     arrays: ArrayFactory
@@ -136,7 +136,7 @@ class EnvGroup(Protocol):
         """
 
     def step(self, rows: Indices, actions: ByAgent) -> EnvResult:
-        """Step the environments `rows` (r,) with checked actions (r, ...) by agent; return the result of these r."""
+        """Step the environments `rows` (r,); `actions` (r, ...) by agent have passed `check_action_array`."""
 
     def render(self) -> list[Any] | None:
         """Return the RGB image (height, width, 3) of each environment; None unless `render_mode` is "rgb_array"."""

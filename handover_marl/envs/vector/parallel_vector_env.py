@@ -32,10 +32,10 @@ class ParallelVectorEnv:
     The API is PettingZoo's parallel API; the dictionaries by agent hold arrays (n, ...) of n
     environments. The reset after an episode's end follows Gymnasium's modes:
 
-    - "next_step": the next step ignores the actions, and returns the first observations of the next
-      episode with rewards of 0.
-    - "same_step": the last step of an episode returns the first observations of the next episode with
-      the last rewards. `infos[agent]` then has the last observations and infos in "final_obs" and "final_info".
+    - "next_step": the step after an episode's end ignores the actions, and returns the first observations
+      of the next episode and rewards of 0.
+    - "same_step": the last step of an episode returns its last rewards and the first observations of the next
+      episode. `infos[agent]` then has the last observations and infos in "final_obs" and "final_info".
     - "disabled": the caller resets.
 
     `infos[agent]` has the form of the infos of `HandoverVectorEnv`, with arrays and tensors in the same places.
@@ -71,7 +71,7 @@ class ParallelVectorEnv:
 
     @property
     def agents(self) -> list[str]:
-        """Names of the acting agents; empty before the first reset."""
+        """Names of the acting agents; empty before the first reset, after a failed reset or step, and after `close`."""
         return self.possible_agents if self._is_running else []
 
     def single_observation_space(self, agent: str) -> spaces.Space[Any]:
@@ -98,17 +98,17 @@ class ParallelVectorEnv:
         Args:
             seed: Seed of the first environment, environment k gets `seed + k`; or a sequence with a seed
                 for each environment; None keeps the state of all random generators.
-            options: Options that every environment gets: `{"scene_id": n}` chooses the scene; and `reset_mask`, the
-                mask (n,) of the environments to reset, an array or a tensor.
+            options: "scene_id" is the scene of all environments; "reset_mask" is the mask (n,) of the environments to
+                reset, an array or a tensor.
 
         Returns:
-            Observations of all environments by agent (the last ones of environments that were not reset), and infos in
-            Gymnasium's form of the environments that were reset.
+            Observations of all environments by agent, the latest ones of environments that were not reset; and infos,
+            in Gymnasium's form, of the environments that were reset.
 
         Raises:
             OptionError: The number of seeds or the shape of the mask is wrong, a seed is negative or not an integer,
                 `options` is not a mapping, or no environment is chosen.
-            ResetNeededError: The environments are closed, or were made by another process.
+            ResetNeededError: The first reset leaves out environments, or they are closed or of another process.
             SimulationError: Another thread is using the environments.
         """
         if options is not None and not isinstance(options, Mapping):

@@ -41,7 +41,7 @@ class RewardSums:
         return {agent: sums[:, 0] for agent, sums in self._sums.items()}
 
     def start(self, row: int) -> None:
-        """Start the episode with index `row`, whose first state has been observed."""
+        """Start the episode with index `row`, after `EpisodeBatch.update_state` has read its first state."""
         rows = self._arrays.asarray(np.array([row]))
 
         def start_transitions() -> list[Transition]:
@@ -65,7 +65,7 @@ class RewardSums:
             sums[rows] = 0.0
 
     def add(self, rows: AnyIndices, actions: Mapping[str, AnyArray], terminated: AnyArray, truncated: AnyArray) -> None:
-        """Add the rewards of a control step of the episodes `rows` (r,), whose states after it have been observed.
+        """Add the rewards of a control step of the episodes `rows` (r,), after `EpisodeBatch.update_state`.
 
         Actions (r, ...) by agent are float32; `terminated` and `truncated` (r,) say whether each episode has ended.
         """

@@ -32,9 +32,9 @@ from handover_marl.simulation.engines import CPU, MUJOCO, THREADS, WARP, BatchBa
 #: Function or class that wraps the environment by a `pettingzoo.utils.BaseParallelWrapper`.
 WrapperFunction: TypeAlias = Callable[[WrappableEnv], WrappableEnv]
 AUTORESETS = tuple(mode.name.lower() for mode in AutoresetMode)
-#: Largest number of environments in a batch; each takes megabytes of memory.
+#: Largest number of environments of `vector_env`; each takes megabytes of memory.
 MAX_ENVS = 65_536
-# A scene takes 0.7 MB, and 5 ms to read.
+# Number of scenes in memory: a scene takes 0.7 MB, and 5 ms to read.
 _CACHED_SCENES = 512
 
 
@@ -136,8 +136,8 @@ def vector_env(
     The result is a `HandoverVectorEnv` of one agent, or with `agent=None` a `ParallelVectorEnv` of both.
 
     Each environment behaves as a single one with its seed, whatever the number of environments, threads and
-    processes. In other physics, with a camera or with wrappers, the backend "threads" steps environments one after
-    another.
+    processes. In other physics, with a camera, a render mode or wrappers, the backend "threads" steps the environments
+    of a process one after another.
 
     Args:
         num_envs: Number of environments.
@@ -150,17 +150,17 @@ def vector_env(
             mapping by agent for both agents.
         wrappers: Functions or classes that wrap each environment by a
             `pettingzoo.utils.BaseParallelWrapper`, the innermost first; the wrapped environment has both
-            agents, their observations and actions as the environment defines them. With wrappers,
-            environments are stepped one after another.
+            agents, and their observations and actions are as the environment defines them. The backend
+            "warp" accepts no wrappers.
         autoreset: Gymnasium's mode of the reset after an episode's end: "next_step", "same_step" or
             "disabled".
-        threads: Number of simulation threads; default: one per core, without processes.
-        processes: Number of processes that simulate the environments, each with one thread; default: this
-            process simulates. On several cores, processes are faster than threads, but each needs memory for
-            its own models.
+        threads: Number of simulation threads, instead of `processes`; default: one per core.
+        processes: Number of processes that simulate the environments, each with one thread; default: none,
+            the simulation runs in this process. On several cores, processes are faster than threads, but each
+            process needs memory for its own models.
         backend: Backend of the simulation: "threads" for MuJoCo on the processor, or "warp" for MuJoCo Warp, which
-            steps all environments together and returns PyTorch tensors on `device`. Its results are not bit-identical
-            to those of "threads". The backend renders cameras on the device, without noise, for all
+            steps all environments together and returns PyTorch tensors on `device`. The results of "warp" are not
+            bit-identical to those of "threads". "warp" renders cameras on the device, without noise, for all
             observation modes but "full_pointcloud"; the random subsets of point clouds with more than 1024 points
             differ from those of "threads".
         device: Device of the simulation: "cpu", or "cuda" for a GPU with "warp". MuJoCo Warp on "cpu" is for tests.

@@ -16,14 +16,14 @@ DEFAULT_PARTNERS = {RECEIVER: "replay", GIVER: "yang2021"}
 class FixedPartnerEnv(ParallelWrapper):
     """Parallel environment of one agent, made by `control_agent`; a fixed policy acts for the other agent.
 
-    The partner acts as in evaluations: at its own control period, which may differ from the environment's, and with
-    seeds that are derived from a run seed, which is drawn for each episode. Wrappers of `env` change neither
-    observations nor actions of the partner.
+    The partner acts as in evaluations, at its own control period, which may differ from the environment's. Each reset
+    draws a run seed, from which the partner's seed is derived. Wrappers of `env` change neither the partner's
+    observations nor its actions.
 
     Attributes:
         live_agent: Agent that is controlled from outside, "receiver" or "giver".
         partner_agent: Agent that the partner policy acts for.
-        reference: Reference to the partner's policy, from which other instances of it can be made.
+        reference: Reference to the partner's policy, which can make more instances of the policy.
         policy: Policy of the partner.
     """
 
@@ -68,7 +68,7 @@ class FixedPartnerEnv(ParallelWrapper):
         The result is as in `HandoverEnv.step`, without the entries of the partner.
 
         Args:
-            actions: Mapping from the name of the agent that is controlled from outside to its action.
+            actions: `{agent: action}` of the agent that is controlled from outside.
         """
         live, partner = self.live_agent, self.partner_agent
         if not isinstance(actions, dict) or actions.keys() - {live}:

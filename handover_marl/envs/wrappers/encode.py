@@ -1,4 +1,4 @@
-"""Wrapper whose observations are features, or the original observations, and whose actions are network outputs."""
+"""Wrapper that replaces observations by features, if wanted, and actions by network outputs."""
 
 import copy
 import warnings
@@ -34,7 +34,7 @@ from handover_marl.learning.policy_files import OBSERVATION
 DEFAULT_FEATURES = {GIVER: "giver", RECEIVER: "receiver"}
 DEFAULT_SCHEMES = {GIVER: "deviation", RECEIVER: "cartesian_delta"}
 _SCHEMES_FROM_STATE = ("grasp_servo",)
-#: Episodes in a row that may end before an action scheme needs outputs.
+#: Number of episodes in a row without a need of outputs after which an error is raised.
 MAX_EPISODES_WITHOUT_OUTPUTS = 100
 _VIDEO_ADVICE = (
     "images of single steps are no video in real time, since steps of this action scheme last several control periods; "
@@ -46,10 +46,10 @@ class EncodedEnv(ParallelWrapper):
     """Wrapper whose observations are feature vectors and whose actions are network outputs, made by `encode`.
 
     The action scheme decodes outputs into actions. With one agent, a step lasts until the scheme needs outputs again,
-    mostly one control period; rewards are summed over the step. An episode in which no outputs are needed is simulated
-    to its end, and another episode follows. Rewards of the control steps that `reset` simulates are not returned. With
-    two agents, a step is one control period, and an action scheme that needs no outputs keeps its last outputs.
-    Features with memory then remember every control period, those of an evaluated policy only its decisions.
+    mostly one control period; rewards are summed over the step. If an episode ends before outputs are needed, `reset`
+    starts another one. Rewards of the control steps that `reset` simulates are not returned. With two agents, a step is
+    one control period, and outputs for a scheme that needs none are ignored. Features with memory are then updated in
+    every control period; in evaluations, they are updated only when the policy decides.
 
     Attributes:
         choices: Pair of features and action scheme by agent, as given or by default.
@@ -101,7 +101,7 @@ class EncodedEnv(ParallelWrapper):
         self._has_skipped = False
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
-        """Return the space of the agent's feature vector, or of its observation with the features `observation`."""
+        """Return the space of the agent's feature vector; with the features "observation", that of its observation."""
         space: spaces.Space[Any] = self._feature_spaces.get(agent) or self.env.observation_space(agent)
         return space
 
@@ -123,9 +123,9 @@ class EncodedEnv(ParallelWrapper):
         }
 
     def reset(self, seed: int | None = None, options: ByAgent | None = None) -> tuple[ByAgent, ByAgent]:
-        """Start an episode and simulate it until an action scheme needs outputs; return features and infos by agent.
+        """Start an episode; with one agent, simulate it until its action scheme needs outputs.
 
-        Arguments are as in `HandoverEnv.reset`.
+        Return features and infos by agent. Arguments are as in `HandoverEnv.reset`.
         """
         for attempt in range(MAX_EPISODES_WITHOUT_OUTPUTS):
             self._observations, infos = self.env.reset(seed=seed if attempt == 0 else None, options=options)
@@ -142,7 +142,7 @@ class EncodedEnv(ParallelWrapper):
         raise make_no_outputs_error(self.possible_agents[0])
 
     def step(self, actions: dict[str, Any]) -> ParallelStep:
-        """Let the agents act for one control period; a single agent until its action scheme needs outputs or the end.
+        """Let two agents act for one control period, or one agent until its scheme needs outputs or the episode ends.
 
         Args:
             actions: Outputs by agent, elements of the action spaces; ignored where a scheme needs none.
@@ -213,19 +213,19 @@ def encode(
 
     Args:
         env: `handover_marl.parallel_env(...)`, or `control_agent(...)` of it.
-        features: Name of built-in features, or user-defined ones: a subclass of `FeatureExtractor`, a function
-            with `declare_size`, or text `module:name`; "observation" for observations as they are, such as images;
-            a mapping by agent if `env` has two agents; default: "giver" for the giver and "receiver" for the receiver.
-        action_scheme: Name of a built-in action scheme, or a user-defined one: a subclass of `ActionScheme`, a
-            function with `declare_size`, or text `module:name`; a mapping by agent if `env` has two
-            agents; default: "deviation" for the giver and "cartesian_delta" for the receiver.
+        features: Name of built-in features; or user-defined features: a subclass of `FeatureExtractor`, a function
+            with `declare_size`, or text `module:name`; or "observation" for unchanged observations, such as images. A
+            mapping by agent if `env` has two agents. Default: "giver" for the giver and "receiver" for the receiver.
+        action_scheme: Name of a built-in action scheme; or a user-defined scheme: a subclass of `ActionScheme`, a
+            function with `declare_size`, or text `module:name`. A mapping by agent if `env` has two
+            agents. Default: "deviation" for the giver and "cartesian_delta" for the receiver.
         api: "parallel" for a PettingZoo environment, "gymnasium" for a Gymnasium environment, which
             has one agent.
 
     Raises:
         UnknownNameError: There are no such features, no such scheme or API.
-        OptionError: There is no such agent, its observations are vectors already, one choice is given for two agents,
-            the receiver observes camera data without the state, or user-defined features or schemes declare no size.
+        OptionError: There is no such agent, observations are encoded already, one choice is given for two agents,
+            features or a scheme need the state but the receiver does not observe it, or a user-defined one has no size.
         EncodingError: The constructor of user-defined features or of a user-defined scheme fails.
     """
     return convert_api(EncodedEnv(env, features, action_scheme), api)

@@ -1,4 +1,4 @@
-"""Base class of the environment's wrappers, simple wrappers, and a Gymnasium adapter for one agent."""
+"""Base class of the environment's wrappers, and a Gymnasium adapter for one agent."""
 
 import copy
 from collections.abc import Sequence
@@ -23,13 +23,13 @@ ParallelStep = tuple[ByAgent, dict[str, float], dict[str, bool], dict[str, bool]
 
 
 class ParallelWrapper(BaseParallelWrapper, EzPickle):  # type: ignore[misc]
-    """Base class of wrappers of the parallel environment; subclasses override methods.
+    """Base class of wrappers of the parallel environment.
 
-    Other attributes and methods are those of the wrapped environment.
+    Subclasses override methods; other attributes and methods are those of the wrapped environment.
 
     Args:
         env: A `HandoverEnv`, or any `pettingzoo.utils.BaseParallelWrapper` of one.
-        agents: Agents of the wrapped environment; default: all agents of `env`.
+        agents: Agents that the wrapper has; default: all agents of `env`.
     """
 
     metadata: dict[str, Any] = dict(HandoverEnv.metadata)
@@ -129,6 +129,6 @@ Api = Literal["parallel", "gymnasium"]
 
 
 def convert_api(env: ParallelWrapper, api: Api) -> ParallelWrapper | SingleAgentEnv:
-    """Return a parallel environment itself, or for the API "gymnasium" a Gymnasium environment of its only agent."""
+    """Return the parallel environment unchanged, or for the API "gymnasium" a `SingleAgentEnv` of it."""
     check_name("api", api, ("parallel", "gymnasium"))
     return env if api == "parallel" else SingleAgentEnv(env)
