@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 Cloud = npt.NDArray[np.float32]
 
-#: Points of a subsampled cloud in an observation.
+#: Number of points of a subsampled cloud in an observation.
 N_POINTS = 1024
 
 #: Clouds of an observation: end of the key, segmentation label, and number of the random stream for subsampling.
@@ -123,7 +123,7 @@ def _make_spaces(obs_mode: str, camera: CameraConfig) -> dict[str, spaces.Space[
 
 
 def resolve_cameras(cameras: Iterable[str | CameraConfig]) -> tuple[CameraConfig, ...]:
-    """Return the configurations of cameras; names such as "wrist" are looked up, equal names raise `OptionError`."""
+    """Return the configurations of cameras, given as names or configurations; raise `OptionError` for equal names."""
     if isinstance(cameras, str) or not isinstance(cameras, Iterable):
         raise OptionError(
             f'cameras must be a tuple of names and CameraConfigs, got {cameras!r}; e.g. ("wrist", "front")'
@@ -156,8 +156,8 @@ class SensorConfig:
             rays in other physics.
         camera_model: Deprojection: "handoversim" repeats HandoverSim's shift by one pixel, "pinhole" is exact.
         camera_noise: Noise of the images: None (no noise), a name of `CAMERA_NOISE_MODELS`, or a `CameraNoise`.
-        cameras: Configurations of the cameras; `resolve_cameras` makes them of names.
-        randomization: Random deviations of the cameras, drawn in each episode; None for none.
+        cameras: Configurations of the cameras; `resolve_cameras` returns them for names.
+        randomization: Random deviations of the cameras, drawn in each episode; None for no deviations.
     """
 
     renderer: str = "auto"
@@ -180,7 +180,7 @@ class SensorConfig:
         return resolve_camera_noise(self.camera_noise)
 
     def describe(self, obs_mode: str, physics: str) -> str:
-        """Return a text for results that names renderer (in this physics), camera model, noise and cameras.
+        """Return text for results: renderer in this physics, camera model, noise, randomization and cameras.
 
         The text is "" for a mode without camera data, and does not mention the default camera.
         """
@@ -191,7 +191,7 @@ class SensorConfig:
         return ", ".join(parts if self.cameras == BENCHMARK_SENSORS.cameras else [*parts, *map(repr, self.cameras)])
 
 
-#: Wrist camera of the benchmark.
+#: Configuration of the benchmark: the wrist camera without noise.
 BENCHMARK_SENSORS = SensorConfig()
 
 
@@ -217,10 +217,10 @@ class CameraCapture:
 
 
 class CameraSensor:
-    """One camera of a simulated world, whose images are rendered on request and reused within a physics step.
+    """One camera of a simulated world; images are rendered on request and reused within a physics step.
 
-    Noise and subsampling of points depend on the seed, the number of simulated steps and the image only; random changes
-    of the camera depend on the seed, the scene and the camera's name. None depends on earlier images.
+    Noise and subsampling of points depend only on the seed, the number of simulated steps and the image. Random changes
+    of the camera depend only on the seed, the objects' poses at the start and the camera's name.
 
     Args:
         config: Configuration of the cameras.
@@ -229,7 +229,7 @@ class CameraSensor:
         name: Name of the camera, one of `config`.
 
     Attributes:
-        has_latency: Whether images arrive late or at a period, so that `record_snapshot` must be called in every step.
+        has_latency: Whether images are late or periodic; `record_snapshot` must then be called in every physics step.
     """
 
     def __init__(self, config: SensorConfig, physics: str, physics_config: PhysicsConfig, name: str = "wrist") -> None:
@@ -263,12 +263,12 @@ class CameraSensor:
             self.record_snapshot(world, 0)
 
     def seed(self, seed: int) -> None:
-        """Set the seed of subsampling, noise and randomization, which is 0 by default."""
+        """Set the seed (by default 0) of subsampling, noise and randomization."""
         self._seed = seed
         self._last = self._episode_camera = None
 
     def record_snapshot(self, world: World, steps: int) -> None:
-        """Record the joint positions of `world` after `steps` physics steps, if the camera takes an image then."""
+        """Record the joint positions of `world` if the camera takes an image now, after `steps` physics steps."""
         if steps % max(self._period, 1) == 0:
             self._history.append((steps, world.read_joint_snapshot()))
         noise = self._draw_camera().noise

@@ -29,8 +29,8 @@ class Episode:
     """Simulation of one handover episode at a time; environments and evaluations are built on it.
 
     Args:
-        physics: "exact" is HandoverSim's simulation bit for bit, "fast" simulates objects only while the robot is
-            near them, or after their release, "mujoco" is another engine.
+        physics: "exact" is HandoverSim's simulation bit for bit; "fast" simulates objects only while the robot is
+            near them, or after their release; "mujoco" is another engine.
         config: Simulated world, protocol and limits of the giver.
         window: Whether to show PyBullet's window.
         sensors: Configuration of the cameras, whose images are rendered only when they are observed.
@@ -62,7 +62,7 @@ class Episode:
         self._referee = Referee(config.protocol)
 
     def reset(self, scene: Scene, seed: int = 0) -> None:
-        """Reset simulation, giver motion, camera and referee to the start of a scene.
+        """Reset simulation, giver motion, cameras and referee to the start of a scene.
 
         Args:
             scene: Scene of the episode.
@@ -181,7 +181,7 @@ class Episode:
             sensor.seed(seed)
 
     def capture_wrist_camera(self) -> CameraCapture:
-        """Return images and point clouds of the wrist camera, late if it has latency; see `CameraSensor.capture`."""
+        """Return images and point clouds of the wrist camera, earlier ones if the camera has latency."""
         check_name("camera", "wrist", self._sensors)
         return self._sensors["wrist"].capture(self.world, self.steps)
 
@@ -221,7 +221,7 @@ class Episode:
 
     @property
     def object_offered(self) -> bool:
-        """Whether the person holds the object, picked up and not released."""
+        """Whether the person holds the object: has picked it up and has not released it."""
         return bool(self._motion.holding[0]) and not self._referee.released
 
     @property
@@ -241,7 +241,7 @@ class Episode:
 
     @property
     def release_step(self) -> int | None:
-        """Physics step in which the person released the object; None before a release."""
+        """Physics step in which the person released the object, see `Referee`; None before a release."""
         return self._referee.release_step
 
     def close(self) -> None:

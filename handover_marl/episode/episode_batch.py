@@ -16,10 +16,10 @@ _VOLUNTARY = RELEASE_REASONS.index(ReleaseReason.VOLUNTARY)
 class EpisodeBatch:
     """Batch of n handover episodes, simulated together by MuJoCo or MuJoCo Warp.
 
-    The episodes do not influence each other. In MuJoCo, an episode equals one of
-    `handover_marl.episode.episode.Episode`; in MuJoCo Warp, it agrees with it to single precision. Methods apply to the
-    r episodes whose indices are in their argument `rows` (r,). Arrays are NumPy arrays in MuJoCo, and PyTorch tensors
-    on the device in MuJoCo Warp. The device's memory is free after `close`, once no tensor is in use any more.
+    The episodes do not influence each other. Compared with `handover_marl.episode.episode.Episode`, an episode is equal
+    in MuJoCo, and equal to single precision in MuJoCo Warp. Methods apply to the r episodes whose indices are in the
+    argument `rows` (r,). Arrays are NumPy arrays in MuJoCo, and PyTorch tensors on the device in MuJoCo Warp. The
+    device's memory is free after `close`, once no tensor is in use any more.
 
     Args:
         config: Simulated world, protocol and limits of the givers.
@@ -110,7 +110,7 @@ class EpisodeBatch:
         self.state["time"][rows, 0] = xp.astype(times, xp.float32)
 
     def select_state(self, rows: AnyIndices) -> Observation:
-        """Return copies (r, ...) of the full state of the episodes `rows`, as `update_state` has last read it."""
+        """Return copies (r, ...) of the full state of the episodes `rows` at the last call of `update_state`."""
         return {key: values[rows] for key, values in self.state.items()}
 
     def select_giver_observation(self, rows: AnyIndices) -> Observation:
@@ -118,7 +118,7 @@ class EpisodeBatch:
         return {**self.select_state(rows), **observe_giver_motion(self.motion, rows)}
 
     def are_grasped(self, rows: AnyIndices) -> AnyArray:
-        """Return a mask (r,) of the episodes `rows` in whose last physics step both fingers touched the object."""
+        """Return whether both fingers touched the object in the last physics step of the episodes `rows`, (r,)."""
         return self._worlds.are_grasped(rows) & (self.referees.steps[rows] > 0)
 
     def read_contacts(self, row: int) -> Contacts:

@@ -40,9 +40,9 @@ _HALF = OBJECT_DOF // 2
 
 
 class NumpyRecordings:
-    """Recordings of n givers as NumPy arrays, which are read from the scenes.
+    """Recordings of n givers as NumPy arrays.
 
-    The argument `rows` (r,) of methods has indices of givers, and `frames` (r, k) numbers of recorded frames.
+    The argument `rows` (r,) of methods has indices of r givers, and `frames` (r, k) has numbers of recorded frames.
 
     Args:
         count: Number n of givers.
@@ -81,7 +81,7 @@ class NumpyRecordings:
 
 
 class TensorRecordings:
-    """Recordings as tensors, which stay on the device; a recording of DexYCB takes 1.1 MB. See `NumpyRecordings`.
+    """Recordings as tensors, see `NumpyRecordings`; all stay on the device, one of DexYCB takes 1.1 MB.
 
     Args:
         count: Number n of givers.
@@ -96,7 +96,7 @@ class TensorRecordings:
         self._poses = GrowableArray(arrays, (2, 7), "float32")
 
     def set_scene(self, row: int, scene: Scene) -> None:
-        """Set the scene that the giver with index `row` plays back, and copy it to the device unless it is there."""
+        """Set the scene whose recording the giver with index `row` plays back; copy each scene to the device once."""
         key = scene.info.scene_id
         if key not in self._first_by_scene:
             objects = np.zeros((scene.n_frames, MAX_OBJECTS, OBJECT_DOF), dtype=np.float32)
@@ -127,7 +127,7 @@ class GiverState(NamedTuple):
         opening_progress: Progress of the hand's opening after a voluntary release, 0 to 1.
         offset: Displacement (m) and rotation vector (rad) of the wrist, (..., 2, 3).
         velocity: Velocity of this offset (m/s, rad/s), (..., 2, 3).
-        has_deviated: Whether the wrist has ever had an offset.
+        has_deviated: Whether the wrist has had an offset in this episode.
         angles: Euler angles (rad, intrinsic XYZ) of hand base and object, (..., 2, 3). The next step uses the
             equivalent angles that are nearest to these, so that no angle jumps.
     """
@@ -160,9 +160,9 @@ class PlannedMotion:
 class GiverMotion:
     """Playback of one recording for each of n givers, with the deviations that their actions set.
 
-    `plan` returns the motion of the next physics steps, `commit` applies as many of them as were simulated. Hand and
-    held object deviate together, rigidly about the wrist, and only after the object has been picked up: until then the
-    hand must follow the recording to reach the object. A playback stays at the last frame. Givers are independent.
+    `plan` returns the motion of the next physics steps; `commit` applies the simulated steps. Hand and held object
+    deviate together, rigidly about the wrist, but only after the pick-up of the object: until then the hand must follow
+    the recording to reach the object. After its end, a recording stays at the last frame. Givers are independent.
 
     Args:
         count: Number n of givers.
@@ -194,7 +194,7 @@ class GiverMotion:
         self._ahead = arrays.asarray([round(time / TIME_STEP) for time in config.preview], "int64")
 
     def reset(self, row: int, scene: Scene) -> ReferenceMotion:
-        """Start to play back a scene for the giver with index `row`; return its first frame as a motion of one row."""
+        """Start the playback of a scene by the giver with index `row`; return the first frame, a motion of one step."""
         self._recorded.set_scene(row, scene)
         self._last_frame[row], self._pick_up[row] = scene.n_frames - 1, find_pick_up_frame(scene)
         self._wrists_in_base[row] = self._arrays.asarray(compute_wrist_in_base(read_tree(scene.assets.hand)))
@@ -206,7 +206,7 @@ class GiverMotion:
 
     @property
     def holding(self) -> AnyArray:
-        """Mask (n,) of the persons who have picked up the object, so that displacements take effect."""
+        """Whether each person has picked up the object, (n,); displacements take effect from the pick-up on."""
         return self.state.frame >= self._pick_up
 
     @property
@@ -216,7 +216,7 @@ class GiverMotion:
         return xp.astype(xp.concat([state.rate_offset[:, None], state.offset.reshape(-1, 6)], axis=1), xp.float32)
 
     def read_previews(self, rows: AnyIndices) -> tuple[AnyArray, AnyArray]:
-        """Return the recorded world poses of the givers `rows` (r,) at the k times ahead in `GiverConfig.preview`.
+        """Return the recorded world poses of the givers `rows` (r,) at the k future times in `GiverConfig.preview`.
 
         Returns:
             (r, k, 7) poses of the wrists, zeros without a hand, and (r, k, 7) poses of the target objects: xyz (m)
@@ -229,7 +229,7 @@ class GiverMotion:
     def plan(
         self, rows: AnyIndices, steps: int, actions: AnyArray, released: AnyArray, is_opening: AnyArray
     ) -> PlannedMotion:
-        """Return the motion of r of the givers in the next physics steps, without advancing the playback.
+        """Return the motion of r givers in the next physics steps, without advancing the playback.
 
         Args:
             rows: Indices (r,) of the givers.
@@ -274,7 +274,7 @@ class GiverMotion:
         return PlannedMotion(rows, reference, states)
 
     def count_steps_until_pick_up(self, motion: PlannedMotion) -> AnyIntegers:
-        """Count, for each of the givers of a planned motion, the planned steps before it holds the object, (r,)."""
+        """Count the planned steps (r,) that start before each giver of a planned motion has picked up the object."""
         rows = motion.rows
         return count_steps_until_pick_up(self._pick_up[rows], self.state.frame[rows], motion.states.frame)
 
@@ -349,12 +349,12 @@ def _is_any_set(flags: AnyArray) -> bool:
 
 
 def requests_release(giver_actions: AnyArray) -> AnyArray:
-    """Return a mask (...) of the givers' actions (..., 8) that request the release of the object."""
+    """Return whether each of the givers' actions (..., 8) requests the release of the object, (...)."""
     return giver_actions[..., 7] > 0.5
 
 
 def count_steps_until_pick_up(pick_up_frames: AnyArray, current_frames: AnyArray, frames: AnyArray) -> AnyArray:
-    """Count, for each of r givers, how many of the next k physics steps start before the object is picked up, (r,).
+    """Count the physics steps (r,), of the next k steps of r givers, that start before the object is picked up.
 
     Args:
         pick_up_frames: Frames (r,) in which the objects are picked up.
@@ -366,7 +366,7 @@ def count_steps_until_pick_up(pick_up_frames: AnyArray, current_frames: AnyArray
 
 
 def ramp_rates(rates: AnyArray, targets: AnyArray, max_slope: float, steps: int) -> AnyArray:
-    """Return playback rates minus 1 (r, k) after each of k steps that approach targets with limited slope.
+    """Return playback rates minus 1 (r, k) after each of k steps; the rates approach `targets` with limited slope.
 
     Args:
         rates: Current rates minus 1 (r,).
@@ -381,9 +381,9 @@ def ramp_rates(rates: AnyArray, targets: AnyArray, max_slope: float, steps: int)
 
 
 def extend_hand_bases(scene: Scene) -> npt.NDArray[np.float32]:
-    """Return the hand's joint positions (T, 51), whose base keeps the nearest pose in frames without a hand (m, rad).
+    """Return the hand's joint positions (T, 51; m, rad), with base poses also in frames without a hand.
 
-    An object that is held about the wrist does not jump when the recorded hand leaves.
+    These have the base pose of the nearest frame with a hand, so that an object held about the wrist does not jump.
     """
     if scene.hand_first is None or scene.hand_last is None:
         return scene.hand_dof

@@ -36,7 +36,7 @@ class PolicyDecision:
         giver_action: (8,) action of the giver, see `giver_action_space`.
         planning_time: Wall-clock time of the receiver's policy (s), without rendering; 0 if it was not called now.
         receiver_decided: Whether a new action of the receiver takes effect now; otherwise its last action is held.
-        giver_decided: Whether the giver's policy acted now; always false for a replayed giver.
+        giver_decided: Whether the giver's policy acted now; always false if the giver has no policy.
     """
 
     receiver_action: npt.NDArray[np.float32]
@@ -134,7 +134,7 @@ def start_policy(policy: EpisodePolicy, seed: int | None, object_names: Sequence
 
 
 def call_policy(policy: EpisodePolicy, observation: Observation, step: int) -> tuple[Action, int]:
-    """Return a policy's action, and the physics step up to which it is held; errors of its code become `PolicyError`.
+    """Return a policy's action and the physics step of its next decision; errors of its code become `PolicyError`.
 
     Args:
         policy: Policy to call.
@@ -159,30 +159,30 @@ def _name_policy(policy: EpisodePolicy, when: str, observation: Observation | No
 
 
 def steps_from_hold_time(hold_time: float) -> int:
-    """Convert a hold time (s) to 1 to 10^12 physics steps of 1 ms; raise `OptionError` if it is not positive."""
+    """Convert a hold time (s) to physics steps of 1 ms, from 1 to 10^12; raise `OptionError` if it is not positive."""
     if isinstance(hold_time, (bool, str)) or not isinstance(hold_time, (int, float, np.number)) or not hold_time > 0:
         raise OptionError(f"hold_time must be a positive number (s), got {hold_time!r}")
     return max(1, round(min(hold_time, _LONGEST_HOLD) / TIME_STEP))
 
 
 class EpisodeAgent:
-    """Policy that acts for one agent in one episode at its own control period, and the action that it holds.
+    """Agent in one episode: calls a policy at the policy's own control period, and holds its action in between.
 
-    The policy's seed is derived from the seed of the run: `derive_giver_seed` for a giver, `derive_receiver_seed` for a
-    receiver, whose `reset` is called at its first decision.
+    The policy's seed is derived from the run seed, by `derive_giver_seed` or `derive_receiver_seed`. The policy of a
+    receiver is reset at its first decision.
 
     Args:
         episode: Episode at the start of a scene.
         agent: Agent that the policy acts for, "giver" or "receiver".
         policy: Policy; the observation of a receiver is empty if its attribute `obs_mode` is None.
         seed: Seed of the run.
-        inference_time: Simulated time that passes during a call. Until it has passed, the previous action stays in
-            effect (before the first action, the robot's joint positions are held), and there is no other call.
+        inference_time: Simulated time of a call of the policy. Until this time has passed, the previous action stays
+            in effect (before the first action, the robot's joint positions are held), and there is no other call.
 
     Attributes:
         action: Action that is held; empty before the first decision.
         pending_action: Action that was decided and is not in effect yet, or None.
-        next_decision_step: Physics step from which on the policy is to be called again.
+        next_decision_step: Physics step of the policy's next call.
         planning_time: Wall-clock time of the last call of the policy (s), without rendering.
     """
 
@@ -226,7 +226,7 @@ class EpisodeAgent:
         return self.action
 
     def decide(self, state: Observation) -> None:
-        """Call the policy; its action is held until `next_decision_step`, and pending during the inference time.
+        """Call the policy; the new action is pending during the inference time, then held until the next decision.
 
         Args:
             state: Full state as `Episode.observe` returns it now.
@@ -271,8 +271,8 @@ def run_episode(
         receiver: Policy of the robot; its observation is empty if its attribute `obs_mode` is None.
         giver: Policy of the person; None replays the recording.
         seed: Seed of the run, from which the seeds of policies and camera are derived.
-        until: Largest number of physics steps, or a function that returns True to end the loop; it is called
-            after each decision, before the actions are applied.
+        until: Largest number of physics steps, or a function that returns True to end the loop. The function is
+            called after each decision, before the actions are applied.
         callbacks: Callbacks, called in this order.
         inference_time: Simulated time that passes during each call of the receiver, see `EpisodeAgent`.
 
@@ -328,8 +328,8 @@ def derive_giver_seed(seed: int | None, scene_id: int) -> int:
 def derive_robot_seed(seed: int | None, scene: Scene) -> int:
     """Derive the seed of the robot's initial joint positions: a hash of the run's seed and the objects' first poses.
 
-    Receivers observe the joint positions; their seed therefore depends on observed values, not on the scene number. A
-    run seed of None is 0.
+    A receiver observes these joint positions. It must not learn the scene number from them, so that the seed depends on
+    observed values only. A run seed of None is 0.
     """
     return derive_seed(seed, "robot", scene.object_dof[0])
 

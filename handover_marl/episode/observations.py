@@ -116,7 +116,7 @@ def giver_observation_space(
 
 
 def observe(state: WorldState, object_ids: tuple[int, ...], released: bool, time: float) -> Observation:
-    """Return the full state of a simulated world as an observation, arrays by the keys of `state_space`.
+    """Return the full state of a simulated world as an observation: arrays by the keys of `state_space`.
 
     Args:
         state: State of the simulated world.
@@ -141,15 +141,15 @@ def select_receiver_observation(state: Observation, camera: Observation, obs_mod
     Args:
         state: The full state as `observe` returns it.
         camera: The camera data of this mode as `Episode.observe_camera` returns it.
-        obs_mode: Observation mode; one without "state" keeps `PROPRIOCEPTION` of the
-            state: joint positions and velocities of the robot, pose of its hand link, and time.
+        obs_mode: Observation mode. Without "state", only the keys `PROPRIOCEPTION` of the state are kept:
+            joint positions and velocities of the robot, pose of its hand link, and time.
     """
     own = state if has_state(obs_mode) else {key: state[key] for key in PROPRIOCEPTION}
     return {**own, **camera}
 
 
 def observe_giver_motion(motion: GiverMotion, rows: AnyIndices) -> Observation:
-    """Return what the givers with indices `rows` (r,) observe beside the state, arrays (r, ...) by key."""
+    """Return what the givers with indices `rows` (r,) observe in addition to the state: arrays (r, ...) by key."""
     wrist_poses, object_poses = motion.read_previews(rows)
     holding = motion.holding[rows, None]
     return {

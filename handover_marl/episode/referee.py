@@ -36,7 +36,7 @@ class ReleaseReason(Enum):
     VOLUNTARY = "voluntary"
 
 
-#: Reasons by number, as infos and referee states contain them; -1 is no release.
+#: Reasons by their number in infos and referee states; -1 is no release.
 RELEASE_REASONS = tuple(ReleaseReason)
 _ACTIVE, _PASSIVE = RELEASE_REASONS.index(ReleaseReason.ACTIVE), RELEASE_REASONS.index(ReleaseReason.PASSIVE)
 
@@ -101,8 +101,8 @@ class Referee:
         release_reason: Reason why the person released the object; None before a release.
         release_step: Physics step (from 1) of the release, or the step after which a voluntary
             release took effect; None before a release.
-        released: Whether the person has released the object. The rules of the status use it in the step of the
-            release, the simulation from the next step on.
+        released: Whether the person has released the object. The rules of the status count the object as released
+            from the step of the release on, the simulation from the next step on.
     """
 
     def __init__(self, config: ProtocolConfig) -> None:
@@ -116,7 +116,7 @@ class Referee:
         self._active_steps = self._passive_steps = self._goal_steps = 0
 
     def release_voluntarily(self) -> None:
-        """Record that the giver releases the object before the next physics step, unless it is released already."""
+        """Record that the giver releases the object before the next physics step; do nothing after a release."""
         if not self.released:
             self.release_reason, self.release_step, self.released = ReleaseReason.VOLUNTARY, self.steps, True
 
@@ -186,7 +186,7 @@ def make_judge(referees: RefereeState, rules: ProtocolConfig) -> JudgeFunction:
     """Return a function that applies the rules of release and status to the contacts of a rollout.
 
     Args:
-        referees: Referee states of the n episodes in the rollout, which the function updates.
+        referees: Referee states of the n episodes in the rollout; the function updates these arrays.
         rules: Thresholds of the protocol's rules.
     """
 
@@ -208,13 +208,13 @@ def make_judge(referees: RefereeState, rules: ProtocolConfig) -> JudgeFunction:
 def judge_steps(
     before: RefereeState, contacts: RolloutContacts, config: ProtocolConfig
 ) -> tuple[AnyArray, RefereeState]:
-    """Apply the rules of release and status to k steps of n episodes, up to the first release or end of each.
+    """Apply the rules of release and status to k steps of n episodes, in each up to its first release or its end.
 
     The states are the same as with `Referee.update` after every step, but there is no loop over steps.
 
     Args:
         before: Referee states before these steps, arrays or tensors; results are valid for running episodes only.
-        contacts: Contacts of the steps. Steps after a release or an episode's end are ignored.
+        contacts: Contacts of the k steps; those after the first release or the end of an episode are ignored.
         config: Thresholds of the protocol's rules.
 
     Returns:

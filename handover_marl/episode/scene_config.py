@@ -20,21 +20,21 @@ class SceneConfig:
         setup: Official setup: s0 no unseen factor, s1 unseen subjects, s2 unseen handedness, s3 unseen objects; or a
             setup of other data. Default: the first of the dataset, s0 of the official ones.
         split: Split of the setup: train, val or test.
-        scenes: Scene numbers of the split, e.g. 209,214; default: all. Reports mention it if scenes are left out.
+        scenes: Scene numbers of the split, e.g. 209,214; default: all. Reports say if scenes are left out.
         dataset: Dataset: dexycb, synthetic, generated:n=1000,seed=7 (any number of scenes), own:FOLDER (custom scenes),
             or auto (dexycb if a data folder is found, else synthetic).
         data_dir: Data folder in HandoverSim's layout; default: the environment variable HANDOVER_MARL_DATA.
         physics: Physics: exact (official results), fast (objects are simulated only while the robot is near them, or
             after their release), or mujoco (another engine).
-        robot: Robot model: panda, or panda_camera, with the housing of HandoverSim's wrist camera, which can collide.
+        robot: Robot model: panda, or panda_camera (with HandoverSim's wrist camera, whose housing can collide).
         renderer: Renderer of the cameras: bullet, rays, or auto (bullet in exact physics, else rays).
         camera_model: Projection of the cameras' point clouds: handoversim (shifted by one pixel, as in the
             original) or pinhole.
-        camera_noise: Noise and latency of the cameras: realsense, or imperfect, which adds calibration errors, or one
-            part of imperfect (depth_noise, latency, hand_eye, intrinsics), or in Python a `CameraNoise`; default: none.
+        camera_noise: Noise and latency of the cameras: realsense; imperfect, with more latency and calibration errors;
+            a part of imperfect (depth_noise, latency, hand_eye, intrinsics); in Python a `CameraNoise`; default: none.
         cameras: Cameras of the observations, each a name (wrist, front, over_shoulder) or in Python a `CameraConfig`.
         camera_randomization: Random deviations of the cameras from their configuration, in Python a
-            `CameraRandomization`, beside the calibration errors that `camera_noise` names; default: none.
+            `CameraRandomization`, in addition to the calibration errors of `camera_noise`; default: none.
         world_config: World and rules; published results exist only for the default.
     """
 

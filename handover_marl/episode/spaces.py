@@ -18,12 +18,12 @@ OBS_PARTS = (STATE, POINTCLOUD, SCENE_POINTCLOUD, FULL_POINTCLOUD, DEPTH, SEGMEN
 IMAGES = frozenset((DEPTH, SEGMENTATION, RGB))
 _JOIN_PARTS = "join parts with '+', e.g. 'rgb+depth'"
 
-#: Components of the giver's action: playback rate (1), wrist displacement (3), wrist rotation (3), release (1).
+#: Size of the giver's action: playback rate (1), wrist displacement (3), wrist rotation (3), release (1).
 GIVER_ACTION_SIZE = 8
 
 
 def parse_obs_mode(obs_mode: str) -> frozenset[str]:
-    """Return a mode's parts: "state", "rgb" and "depth" for "state+rgbd"; raise `UnknownNameError` for unknown ones."""
+    """Return a mode's parts, e.g. "state", "rgb", "depth" of "state+rgbd"; raise UnknownNameError for unknown parts."""
     if not isinstance(obs_mode, str):
         raise UnknownNameError("part of obs_mode", obs_mode, OBS_PARTS, _JOIN_PARTS)
     parts = frozenset(obs_mode.split("+"))
@@ -55,7 +55,7 @@ def receiver_action_space() -> spaces.Box:
 def giver_action_space(config: GiverConfig = OFFICIAL_CONFIG.giver) -> spaces.Box:
     """Return the giver's action space, deviations from a recording; zeros replay the recording.
 
-    | components | meaning | bounds |
+    | components | meaning | default bounds |
     |---|---|---|
     | 0 | playback rate minus 1: -1 pauses, 1 doubles the speed | -1 to 1 |
     | 1-3 | set-point of the wrist's displacement from the recording, world frame (m) | -0.3 to 0.3 |

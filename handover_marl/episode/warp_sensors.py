@@ -17,15 +17,15 @@ from handover_marl.geometry.arrays import AnyArray, ArrayFactory
 from handover_marl.simulation.camera.optics import compute_points, make_pinhole
 from handover_marl.simulation.world import WorldState
 
-# Episodes whose images are in memory at a time: each takes about 1 MB.
+# Number of episodes whose images are in memory at a time: the images of an episode take about 1 MB.
 _CHUNK = 64
 
 
 class WarpSensors:
-    """Cameras of n episodes without noise; images are rendered by ray casting with Warp.
+    """Noise-free cameras of n episodes; images are rendered by ray casting with Warp.
 
-    Observations equal those of `CameraSensor` with the renderer "rays" to single precision, except that clouds of more
-    than 1024 points have another random subset.
+    Observations equal those of `CameraSensor` with the renderer "rays" to single precision, but another random subset
+    of points is chosen in clouds of more than 1024 points.
 
     Args:
         obs_mode: Observation mode of the receiver, with point clouds or images.
@@ -50,7 +50,7 @@ class WarpSensors:
         self._seeds = arrays.zeros(count, "int64")
 
     def reset(self, row: int, assets: SceneAssets, seed: int) -> None:
-        """Prepare the camera of an episode.
+        """Prepare the cameras for an episode.
 
         Args:
             row: Index of the episode.
@@ -61,7 +61,7 @@ class WarpSensors:
         self._seeds[row] = seed
 
     def observe(self, rows: AnyArray, state: Observation, steps: AnyArray) -> Observation:
-        """Return the camera data of r episodes; see `camera_observation_space`.
+        """Return the camera data of r episodes: arrays (r, ...) by the keys of `camera_observation_space`.
 
         Args:
             rows: Indices (r,) of the episodes.
@@ -84,7 +84,7 @@ class WarpSensors:
         return observation
 
     def close(self) -> None:
-        """Free the memory of the device that the meshes of the models take."""
+        """Free the device memory of the models' meshes."""
         self._camera.close()
 
     def _observe_images(self, rows: AnyArray, states: WorldState, camera: CameraConfig) -> Observation:

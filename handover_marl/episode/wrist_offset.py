@@ -65,7 +65,7 @@ def track_set_points(
 
 
 def delay_steps(values: AnyArray, delays: AnyArray) -> AnyArray:
-    """Delay values (d, k, 2, 3) of k steps by `delays` (d,) steps: zeros come first, the last values are cut off."""
+    """Delay values (d, k, 2, 3) of k steps by `delays` (d,) steps: zeros come first, the last values are left out."""
     xp, (count, steps) = get_namespace(values), values.shape[:2]
     source = xp.arange(steps, device=values.device) - delays[:, None]
     delayed = values[xp.arange(count, device=values.device)[:, None], xp.clip(source, min=0)]

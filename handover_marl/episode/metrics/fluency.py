@@ -37,7 +37,7 @@ _FORWARD: Final = np.array([0.0, -1.0, 0.0])
 # Angles (deg) of the upper arm, forward and backward, at which its score increases, and range of the elbow's flexion in
 # which the forearm has its lowest score.
 _FLEXIONS, _EXTENSION, _FOREARM_RANGE = (20.0, 45.0, 90.0), 20.0, (60.0, 100.0)
-# Angle (deg) of the upper arm to the vertical plane through shoulder and robot above which it is abducted.
+# The upper arm is abducted if its angle (deg) to the vertical plane through shoulder and robot is larger than this.
 _ABDUCTION = 20.0
 #: Assumed arms of a person who faces the robot, along -y of the world: middle between both shoulders in the world
 #: frame, distance of a shoulder from it along x, and lengths of upper arm and forearm (m). The lengths are those of a
@@ -144,9 +144,9 @@ class FluencyMetrics:
             averaged over 60 ms; None if there is no contact.
         robot_object_impulse: Sum over all physics steps until the release or the end of the normal forces
             between robot and object, times 1 ms (N s); None if there is no contact until then.
-        min_separation_margin: Smallest distance between the surfaces of robot and human hand minus the protective
-            separation distance of ISO/TS 15066 (m), sampled every 20 ms; negative if the robot could touch
-            the hand before it stops; None if there is no hand.
+        min_separation_margin: Smallest separation margin (m), sampled every 20 ms: the distance between the
+            surfaces of robot and human hand minus the protective separation distance of ISO/TS 15066.
+            Negative if the robot could touch the hand before it stops; None if there is no hand.
         giver_rula: Mean of RULA's scores of the giver's upper arm and forearm, 2 (best) to 8, until
             the release or the end, for an assumed shoulder; None if there is no hand.
     """
@@ -219,10 +219,10 @@ def compute_fluency(trace: EpisodeTrace) -> FluencyMetrics:
 
 
 def has_early_grab(trace: EpisodeTrace) -> bool | None:
-    """Return whether the fingers begin to close before the person's offer.
+    """Return whether the robot's fingers begin to close before the person offers the object.
 
-    The offer is the end of the person's last activity before the release, or before the end without a release. Returns
-    None if, until then, the fingers do not close or the person's hand does not move.
+    The person offers the object at the end of the last activity before the release, or before the episode's end if
+    there is no release. Returns None if, until the release or the end, the fingers do not close or the hand is still.
     """
     n = trace.count_samples_until(trace.steps if trace.release_step is None else trace.release_step)
     person = compute_speeds(trace.wrist, trace.period) > ACTIVE_SPEED

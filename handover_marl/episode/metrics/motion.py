@@ -31,8 +31,8 @@ _SHORTEST_PAUSE = 0.25  # s, shorter pauses do not divide an activity
 # The jerk is the third derivative of a polynomial of this degree, fitted to this many samples (240 ms). The filter has
 # half power at 6.3 Hz: it keeps reaching movements and suppresses noise.
 _JERK_DEGREE, _JERK_SAMPLES = 5, 13
-# Spectral arc length: highest frequency (Hz), share of the largest amplitude below which both ends of the spectrum are
-# cut off, and padding of the profile with zeros to 2^_PADDING times the next power of two.
+# Spectral arc length: highest frequency (Hz); share of the largest amplitude below which both ends of the spectrum are
+# cut off; the speed profile is padded with zeros to 2^_PADDING times the next power of two.
 _CUTOFF, _THRESHOLD, _PADDING = 10.0, 0.05, 4
 #: Time from the detection of a person to the start of the robot's braking (s), as assumed for protective distances.
 REACTION_TIME = 0.1
@@ -51,8 +51,8 @@ class EpisodeTrace:
         wrist: (n, 3) positions of the person's wrist (m), NaN if there is no hand.
         steps: Number of physics steps of the episode.
         release_step: Physics step in which the person released the object; None if there is no release.
-        forces: (n, 2) largest sums of the robot's normal forces on object and person's hand in one physics step since
-            the previous sample (N); the last sample includes the steps after it.
+        forces: (n, 2) sums of the robot's normal forces on the object, and on the person's hand (N): the largest of the
+            physics steps since the previous sample. The last sample includes the steps after it.
         min_distance: Smallest distance between robot and human hand (m), 0 after contact, None if there is no hand.
         max_hand_force: Largest sum of the normal forces between robot and human hand in one physics step (N); None
             without contact.
@@ -61,8 +61,8 @@ class EpisodeTrace:
         contact_step: First physics step in which the robot touched the object; None if there is no contact.
         object_impulse: Sum over the physics steps until the release or the end of the normal forces between
             robot and object, times the duration of a step (N s).
-        min_separation_margin: Smallest distance between robot and human hand minus the protective distance
-            of `compute_protective_distances` (m); None if there is no hand.
+        min_separation_margin: Smallest separation margin (m): distance between robot and human hand minus the
+            distance of `compute_protective_distances`; None if there is no hand.
         side: Side of the human hand, "right" or "left".
     """
 
@@ -196,7 +196,7 @@ class TraceRecorder(EpisodeCallback):
 
 
 def compute_speeds(positions: Array, period: float) -> Array:
-    """Compute the speeds (n,) in m/s at positions (n, k), as means of 3 samples in which NaN speeds count as 0.
+    """Compute the speeds (n,) in m/s at positions (n, k), averaged over 3 samples; NaN speeds count as 0.
 
     Args:
         positions: (n, k) positions (m).
@@ -238,9 +238,9 @@ def _compute_jerk_weights() -> Array:
 def compute_spectral_arc_length(speed: Array, rate: float) -> float | None:
     """Compute the spectral arc length (SPARC) of a speed profile, at most 0; values closer to 0 are smoother.
 
-    It is minus the arc length of the amplitude spectrum, with amplitude and frequency normalized to 1, up to 10 Hz and
-    between the first and last amplitude of at least 0.05 of the largest (Balasubramanian et al., 2015). None if all
-    speeds are zero.
+    It is minus the arc length of the amplitude spectrum (Balasubramanian et al., 2015). The spectrum ends at 10 Hz and
+    is cut off before the first and after the last amplitude of at least 0.05 of the largest; amplitudes and the
+    remaining frequencies are normalized to 1. None if all speeds are zero.
 
     Args:
         speed: (n,) speeds at equal intervals.
@@ -297,7 +297,7 @@ def compute_protective_distances(person_speeds: Array, robot_speeds: Array) -> A
 
 
 def compute_sampled_distances(wrist: Array, gripper: Array, n_samples: int) -> Array:
-    """Compute the protective distances (n + 1,) in m at n samples and at the last step, a copy of the last sample's.
+    """Compute the protective distances (n + 1,) in m at n samples and at the last step, which repeats the last sample.
 
     Args:
         wrist: (n + 1, 3) positions of the wrist at the samples and the last step (m), NaN if there is no hand.
