@@ -35,12 +35,12 @@ from handover_marl.policies.reference import PolicyReference
 
 #: Actions (r, ...), float32.
 Actions: TypeAlias = AnyArray
-#: Function that returns the observations (r, ...) in the episodes with given indices (r,).
+#: Function that returns the observations (r, ...) in the episodes whose indices (r,) it is given.
 ObserveFunction = Callable[[AnyIndices], Observation]
 
 
 class PolicyBatch(ABC):
-    """Policy that acts for one agent in n episodes; an action is held until the policy's next decision."""
+    """Policy that acts for one agent in n episodes; each action is held until the policy's next decision."""
 
     @abstractmethod
     def reset(self, row: int, seed: int | None, object_names: Sequence[str]) -> None:
@@ -58,13 +58,13 @@ class PolicyBatch(ABC):
 
         Args:
             rows: Indices (r,) of the episodes.
-            observe: Function that returns the observations of some episodes; called for episodes with a decision.
+            observe: Function that returns observations; called for the episodes in which a decision is due.
             steps: Physics steps (r,) since the start of each episode.
         """
 
 
 class SequentialPolicyBatch(PolicyBatch):
-    """Batch of n policies, one for each episode, that are called one after another.
+    """Batch of n policies, one for each episode; they are called one after another.
 
     Args:
         policies: Policy of each episode.
@@ -102,30 +102,30 @@ class SequentialPolicyBatch(PolicyBatch):
 
 
 class ArrayPolicy(Policy):
-    """Base class of policies whose state is in arrays (n, ...), with one row for each of the n episodes they act in.
+    """Base class of policies for n episodes; the state of a policy is in arrays (n, ...), with one row per episode.
 
-    Subclasses define `allocate`, `start` and `decide`. A policy that is constructed acts in one episode, `copy_for`
-    returns one for several; actions do not depend on the other episodes. Arrays are NumPy arrays or PyTorch tensors.
-    The argument `rows` (r,) of methods has the indices of the episodes to which a method applies; observations and
-    actions have one row for each of them.
+    Subclasses define `allocate`, `start` and `decide`. The constructor makes a policy for one episode, `copy_for` a
+    policy for several; the actions in an episode do not depend on other episodes. Arrays are NumPy arrays or PyTorch
+    tensors. The argument `rows` (r,) of methods has the indices of the episodes to which a method applies; observations
+    and actions have one row for each of these episodes.
     """
 
     _has_episode = False
 
     @abstractmethod
     def allocate(self, count: int, arrays: ArrayFactory) -> None:
-        """Create the state of `count` episodes, in arrays that `arrays` creates."""
+        """Create the policy's state for `count` episodes, in arrays that `arrays` creates."""
 
     @abstractmethod
     def start(self, row: int, seed: int | None) -> None:
-        """Start the episode with index `row`, whose random numbers `seed` determines."""
+        """Start the episode with index `row`; `seed` determines the policy's random numbers in this episode."""
 
     @abstractmethod
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
         """Return the agent's actions (r, ...) in the episodes `rows`, given its observations (r, ...)."""
 
     def count_hold_steps(self, rows: AnyIndices) -> int | AnyIntegers:
-        """Return for how many physics steps the actions in the episodes `rows` are held, (r,) or one number for all."""
+        """Return the number of physics steps for which actions in the episodes `rows` are held: (r,) or one for all."""
         return steps_from_hold_time(self.hold_time)
 
     @property
@@ -134,18 +134,18 @@ class ArrayPolicy(Policy):
         return (type(self).act, type(self).reset) == (ArrayPolicy.act, ArrayPolicy.reset)
 
     def copy_for(self, count: int, arrays: ArrayFactory) -> "ArrayPolicy":
-        """Return a policy with the same options for `count` episodes, with its state in arrays of `arrays`."""
+        """Return a policy for `count` episodes with the same options; its state is in arrays that `arrays` creates."""
         policy = copy.copy(self)
         policy.allocate(count, arrays)
         return policy
 
     def reset(self, seed: int | None = None) -> None:
-        """Start an episode of a policy that acts in a single one; the seed determines its random numbers."""
+        """Start an episode of a policy for one episode; the seed determines the policy's random numbers."""
         self._has_episode = True
         self.start(0, seed)
 
     def act(self, observation: Observation) -> Action:
-        """Return the action, (8,) of a giver or (9,) of a receiver, in a single episode, which `reset` has started."""
+        """Return the action of a policy for one episode, (8,) of a giver or (9,) of a receiver."""
         if not self._has_episode:
             raise ResetNeededError(f"{self.agent} {self.name!r} cannot act before reset(); call reset() first")
         if self.agent in observation:
@@ -158,7 +158,7 @@ class ArrayPolicy(Policy):
 
 
 class ArrayPolicyBatch(PolicyBatch):
-    """Batch of a policy that computes the actions of all episodes as arrays.
+    """Batch with one policy, which computes the actions of all episodes as arrays.
 
     Args:
         policy: Policy of n episodes.
@@ -212,9 +212,9 @@ def make_giver_actions(
 
 
 class PopulationBatch(PolicyBatch):
-    """Policy batch of a population, from which each episode draws the member policy that acts in it.
+    """Policy batch of a population: in each episode, a randomly drawn member acts.
 
-    The argument `batches` has the policy batch of each member of `policy`, for all `count` episodes.
+    The argument `batches` has a policy batch of each member of `policy`, for all `count` episodes.
     """
 
     def __init__(
@@ -250,7 +250,7 @@ def make_policy_batch(
     count: int,
     arrays: ArrayFactory = NUMPY_ARRAYS,
 ) -> PolicyBatch:
-    """Make the policy batch of `count` environments: one policy on arrays if possible, else one policy for each."""
+    """Make the policy batch of `count` episodes: one `ArrayPolicy` if possible, else one policy for each episode."""
     agent, space = reference.agent, giver_action_space(config.giver)
 
     def check(action: object) -> npt.NDArray[np.float32]:

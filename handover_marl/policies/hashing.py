@@ -1,8 +1,8 @@
 """Hashes of policies, so that results of different policies are never mixed.
 
-A hash covers the library's version, the source files that define a policy, and the values, arrays and files that it
-holds. The hash is equal in every process, also in a script with the policy's code. Code without a source file, as at a
-prompt or in a notebook, gets another hash every time, so that its evaluation cannot be resumed.
+A hash covers the library's version, the source files that define a policy, and the values, arrays and files that the
+policy holds. The hash is equal in every process, also in a script with the policy's code. Code without a source file,
+as at a prompt or in a notebook, gets another hash every time, so that an evaluation of it cannot be resumed.
 """
 
 import contextlib
@@ -32,8 +32,8 @@ def hash_policy(policy: object, state: object, weights: bytes = b"") -> str:
     """Compute the hash of a policy, CODE or CODE.WEIGHTS; each part has 8 hex digits.
 
     Args:
-        policy: The policy, whose arrays count as weights unless its class is one of this library.
-        state: Options of the constructor, or attributes of an instance, which are hashed with the code.
+        policy: The policy; its arrays count as weights unless its class is one of this library.
+        state: Options of the constructor, or attributes of an instance; they are hashed with the code.
         weights: Weights or their hashes; empty if the policy has none.
     """
     code = hash_object((__version__, type(policy), state))[:8]
@@ -45,27 +45,27 @@ def hash_policy(policy: object, state: object, weights: bytes = b"") -> str:
 def hash_object(value: object, arrays_only: bool = False) -> str:
     """Compute a hash (64 hex digits) of a value, function, PyTorch module, class or other object.
 
-    Functions and classes count with their package (`hash_package`) and, unless it is installed, with variables that
-    functions use and with numbers and texts among attributes of classes. Objects count with their attributes.
+    A function or class is hashed with its package (`hash_package`). Unless the package is installed, variables that a
+    function uses, and numbers and texts in a class, are hashed, too. Other objects are hashed with their attributes.
 
     Args:
         value: Value to hash.
-        arrays_only: Whether to include nothing but arrays and tensors. Objects of this library are then left out,
-            since its code computes what they hold from options and files.
+        arrays_only: Whether to hash only arrays and tensors, except those in objects of this library, which are
+            computed from options and files.
 
     Returns:
-        Hash; empty if there is nothing to include.
+        Hash; empty if there is nothing to hash.
     """
     parts = list(_describe(value, {}, arrays_only))
     return hashlib.sha256(b"\0".join(parts)).hexdigest() if parts else ""
 
 
 def hash_package(name: str) -> str:
-    """Return the version of a top-level package that is installed, or a hash of the Python files of another package.
+    """Return the version of a top-level package if it is installed and has one, else a hash of its Python files.
 
     For a module outside a package, the hash covers its file, and the modules and packages in the same folder that it
-    imports, directly or not. A package of the standard library has its `__version__`, or "" if it has none; code
-    without a file gets a random hash.
+    imports, directly or not. A package of the standard library without a version gets "", code without a file gets a
+    random hash.
     """
     package, folders = sys.modules.get(name), _find_folders(name)
     if _is_installed(name):
@@ -85,7 +85,7 @@ def hash_package(name: str) -> str:
 def find_package(function: object) -> str:
     """Return the name of the top-level package from which other processes import a function, class or object.
 
-    The name is empty if they do not import the code but unpickle it, as for code of a script.
+    The name is empty if other processes unpickle the code instead, as for code of a script.
     """
     if isinstance(function, functools.partial):
         return find_package(function.func)

@@ -25,7 +25,7 @@ _Part = TypeVar("_Part")
 _Config = TypeVar("_Config")
 
 _MAX_WAIT = 60.0  # s
-# Larger set-points of a giver were probably meant in mm or degrees (m, rad).
+# Largest set-points of a giver (m, rad); larger ones are probably in mm or degrees.
 _MAX_DISPLACEMENT, _MAX_ROTATION = 3.0, 7.0
 # Constructor parameters that the library fills in; not available as options.
 _RESERVED_PARAMETERS = ("self", "context", "agent", "path", "trust")
@@ -45,8 +45,8 @@ class PolicyContext:
             setup of other data.
         object_names: Class name of each class number in observations (`object_classes`), e.g.
             `context.object_names[14]` is "025_mug".
-        quick_validation: Whether grasps of objects without a stored validation are validated with few
-            simulations, as `Dataset.quick_validation` says.
+        quick_validation: Whether to validate grasps with few simulations if no validation of the object's grasps
+            is stored; see `Dataset.quick_validation`.
     """
 
     panda_urdf: Path
@@ -108,7 +108,7 @@ class Policy(ABC):
         obs_mode: Observation mode of a receiver: "state", or camera data such as "pointcloud" or
             "state+rgbd"; see `handover_marl.episode.spaces.OBS_PARTS`. Images are rendered only when the
             policy acts, and rendering does not count as planning time.
-        file_options: Constructor options that name a file or folder, which is sent to other machines.
+        file_options: Constructor options that name a file or folder; the files are sent to other machines.
     """
 
     agent: ClassVar[str | None] = None
@@ -154,7 +154,7 @@ class Policy(ABC):
 
     @abstractmethod
     def act(self, observation: Observation) -> Action:
-        """Return an element of the agent's action space for an observation; it is held for `hold_time`.
+        """Return an action, an element of the agent's action space, for an observation; it is held for `hold_time`.
 
         Args:
             observation: Element of the agent's observation space.
@@ -246,7 +246,7 @@ def make_giver_action(
         release: Whether to release the object.
 
     Raises:
-        ActionError: A value has not the stated number of finite numbers, or is so large that its unit is wrong.
+        ActionError: A value does not have the stated number of finite numbers, or its unit is probably mm or degrees.
     """
     move = check_vector("displacement", displacement, 3, "a set-point (m)")
     turn = check_vector("rotation", rotation, 3, "a rotation vector (rad)")
@@ -307,7 +307,7 @@ def get_parameters(policy_class: type) -> dict[str, inspect.Parameter]:
 
 
 def require_reset(part: _Part | None, receiver_name: str) -> _Part:
-    """Return a part of a receiver that `reset` creates; raise a `ResetNeededError` if it is None.
+    """Return a part that a receiver's `reset` creates; raise a `ResetNeededError` if the part is None.
 
     Args:
         part: The part, None before the first reset.
@@ -319,12 +319,12 @@ def require_reset(part: _Part | None, receiver_name: str) -> _Part:
 
 
 def override_options(config: _Config, options: Mapping[str, object]) -> _Config:
-    """Return a copy of a policy's configuration with the numbers in `options`; raise an error for a wrong one.
+    """Return a copy of a policy's configuration with the numbers in `options`; raise an error for a wrong option.
 
     Args:
         config: Configuration to change, a dataclass.
-        options: Numbers by name: a field of the configuration, such as `near_period`, or a field of one of its
-            sections after the name of the section, such as `approach_standoff`.
+        options: Numbers by name: FIELD for a field of the configuration, such as `near_period`, or SECTION_FIELD for
+            a field of one of its sections, such as `approach_standoff`.
     """
     sections: dict[str, Any] = {name: part for name, part in vars(config).items() if is_dataclass(part)}
     parts = {"": config} | {f"{name}_": part for name, part in sections.items()}

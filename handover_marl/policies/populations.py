@@ -1,7 +1,7 @@
 """Populations of partners: named givers and receivers in families, read from a JSON file.
 
 A population's file has the keys `name`, `version`, `description`, `givers` and `receivers`. A giver or receiver has
-the keys of `Partner`. `{folder}` in a policy stands for the folder of the file, for policy files beside it.
+the keys of `Partner`. In its key `policy`, `{folder}` stands for the folder of the population's file.
 """
 
 import hashlib
@@ -31,7 +31,7 @@ from handover_marl.policies.registry import check_stored_reference, list_availab
 POPULATION_FOLDER = Path(handover_marl.assets.__file__).parent / "populations"
 #: Shipped population of givers and receivers.
 DEFAULT_POPULATION = "strangers-v1"
-#: Splits of a population by family, and all families.
+#: Splits of a population: a family is in "train" or "test"; "all" has all families.
 TRAIN, TEST, ALL = "train", "test", "all"
 
 _SUFFIX = ".json"
@@ -45,7 +45,7 @@ class Partner:
 
     Attributes:
         name: Unique name in the population.
-        family: Behavior that the partner shares with others; a family is in one split only.
+        family: Name of a kind of behavior that partners share; each family is in one split only.
         split: "train" or "test".
         policy: Policy with its options, as for `handover_marl.evaluate_pair`; may contain `{folder}`.
         description: One sentence on the behavior.
@@ -86,7 +86,7 @@ class Population:
         return f"{self.name} {self.version} ({self.content_hash})"
 
     def get_policy(self, partner: Partner) -> str:
-        """Return the text of a partner's policy, with the folder of this population in place of `{folder}`."""
+        """Return the text of a partner's policy, in which the folder of this population replaces `{folder}`."""
         return partner.policy.replace(_FOLDER, str(self.path.parent))
 
     def select(self, agent: str, split: str) -> tuple[Partner, ...]:
@@ -185,7 +185,7 @@ class PopulationPolicy(Policy):
     """Base class of policies that act as a randomly drawn member of a population in each episode.
 
     The seed of the episode determines the member, and all members are equally likely. Members that observe camera
-    data are left out, since all members have the observations of this policy, the state.
+    data are left out, because this policy observes the state and passes its observations to the members.
 
     Args:
         context: Context from which the members are constructed.
@@ -246,12 +246,12 @@ class PopulationPolicy(Policy):
         return self._references[number].make_from_context(self._given_context)
 
     def draw_member(self, seed: int | None) -> tuple[int, int]:
-        """Draw a member with the seed of an episode; return the member's index and a seed for the member."""
+        """Draw a member at random, by the seed of an episode; return the member's index and a seed for the member."""
         rng = np.random.default_rng(seed)
         return int(rng.integers(len(self.members))), int(rng.integers(2**32))
 
     def reset(self, seed: int | None = None) -> None:
-        """Start an episode with the member that the seed draws, or a random one without a seed."""
+        """Start an episode with a member drawn at random; without a seed, the draw is not reproducible."""
         number, member_seed = self.draw_member(seed)
         self._member = self.members[number]
         self._member.reset(member_seed)

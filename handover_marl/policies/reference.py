@@ -62,8 +62,8 @@ class PolicyReference:
     Attributes:
         agent: The policy's agent, "giver" or "receiver".
         name: Registered name, "module:Class", or the name of a pickled class.
-        pickled: Pickled class, instance, or `functools.partial` of a class; empty if `name` suffices to
-            import the class.
+        pickled: Pickled class, instance, or `functools.partial` of a class; empty if the class can be imported by
+            its `name`.
         file: Path of the policy file, or None.
         options: Keyword arguments of the constructor, sorted by name.
         trust: Whether modules that the policy file names may be imported.
@@ -109,7 +109,7 @@ class PolicyReference:
         return self.make_from_context(make_policy_context(dataset or open_dataset(), config, setup))
 
     def make_from_context(self, context: PolicyContext | None) -> Policy:
-        """Construct the policy with a context, or None for a policy that needs none; errors as in `make`."""
+        """Construct the policy with a context (None if the policy needs none); errors are those of `make`."""
         found = self._load()
         if isinstance(found, Policy):
             return found
@@ -129,7 +129,7 @@ class PolicyReference:
     def resolve(
         self, dataset: Dataset, config: WorldConfig = OFFICIAL_CONFIG, setup: str | None = None
     ) -> "PolicyReference":
-        """Return a copy of this reference with label, code hash, wait and observation mode set.
+        """Return a copy of this reference in which label, code hash, wait and observation mode are set.
 
         The policy is constructed once, so that errors of its constructor show early.
 
@@ -170,8 +170,8 @@ class PolicyReference:
         """Read the policy file, and the files that options in `file_options` of the policy name.
 
         Returns:
-            For each file the option that names it, "" for the policy file; its name, "folder/file" for the files of a
-            folder; and its content. Options whose value is no existing file, such as a name, are left out.
+            A tuple for each file: the option that names the file ("" for the policy file), the name of the file
+            ("folder/file" in a folder), and its content. Options that name no existing file are left out.
         """
         named = [] if self.file is None else [("", Path(self.file))]
         for option, value in self.options:
@@ -203,12 +203,12 @@ def read_policy_file(path: Path) -> bytes:
 
 @dataclass(frozen=True)
 class PolicyBundle:
-    """Policy reference with the contents of the files that the policy reads, for machines without shared folders.
+    """Policy reference and the contents of the policy's files, to send the policy to machines without shared folders.
 
     Attributes:
         reference: Reference to the policy on the machine that packed it.
-        packages: Name and hash of each package with the policy's code, which must be installed on the other machine,
-            too; code that is pickled in the reference is left out.
+        packages: Name and hash of each package with the policy's code, except code that is pickled in the reference.
+            The other machine must have packages with these hashes.
         files: Files of the policy, see `PolicyReference.read_files`.
     """
 
@@ -218,13 +218,13 @@ class PolicyBundle:
 
     @classmethod
     def pack(cls, reference: PolicyReference) -> "PolicyBundle":
-        """Bundle a policy reference with the contents of its policy file and of files that its options name."""
+        """Make a bundle of a policy reference and the contents of the files that `PolicyReference.read_files` reads."""
         names = {find_package(reference.policy_class), *reference.packages} - {""}
         packages = tuple((name, hash_package(name)) for name in sorted(names))
         return cls(reference, packages, tuple(reference.read_files()))
 
     def unpack(self, folder: Path) -> PolicyReference:
-        """Write the bundle's files to a folder; return a reference with them; raise PolicyError if code here differs.
+        """Write the files to a folder; return a reference that names them; raise PolicyError if code here differs.
 
         Args:
             folder: Existing folder for the bundle's files.

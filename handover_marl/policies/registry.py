@@ -1,7 +1,7 @@
 """Registry of policies by name, and import of a user's code by text `module:name`.
 
-Registered policies are entry points of installed packages. A user's text is the permission to import the module; text
-from a file needs `check_stored_reference` first, wherever a file is read.
+Registered policies are entry points of installed packages. Text that the user passes may import its module. Text from
+a file must pass `check_stored_reference` first.
 """
 
 import functools
@@ -57,7 +57,7 @@ def import_reference(kind: str, text: str, valid: Iterable[str] = ("module:name"
 def check_stored_reference(
     source: object, kind: str, text: str, trust: bool, registered: Container[str] = (), advice: str = ""
 ) -> None:
-    """Check text from a file: raise UnsafeFileError if it names a module and the user does not trust the file.
+    """Check text from a file: raise UnsafeFileError if the text names a module and the user does not trust the file.
 
     Args:
         source: The file, for error messages.
