@@ -1,4 +1,4 @@
-"""Atomic writing of files, locks, text from templates, and text of errors for messages."""
+"""Atomic writing of files, locks, rendering of templates, and short text of values for messages."""
 
 import contextlib
 import fcntl
@@ -25,7 +25,7 @@ def write_atomically(path: Path, content: bytes | str) -> None:
 
 
 def create_exclusively(path: Path, content: bytes | str) -> None:
-    """Write a file atomically, unless it exists already; safe if several processes do it at once.
+    """Write a file atomically, unless it exists already; several processes may do so at once.
 
     Errors are those of `write_atomically`.
     """
@@ -42,7 +42,7 @@ def create_exclusively(path: Path, content: bytes | str) -> None:
 
 
 def remove_stale_temporaries(folder: Path) -> None:
-    """Remove temporary files older than a day, whose writers were killed, from a folder, which need not exist."""
+    """Remove temporary files older than a day, left by killed processes, from a folder, which need not exist."""
     for path in folder.glob(".*.part"):
         with contextlib.suppress(OSError):
             if time.time() - path.lstat().st_mtime > _STALE_S:
@@ -90,14 +90,14 @@ def write_arrays(path: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
 
 
 def encode_arrays(arrays: Mapping[str, Any]) -> bytes:
-    """Return the content of an `.npz` file with arrays; equal arrays have equal content."""
+    """Return the bytes of an `.npz` file with arrays; equal arrays give equal bytes."""
     stream = io.BytesIO()
     np.savez_compressed(stream, **arrays)
     return stream.getvalue()
 
 
 def render_template(package: str, template: str, **content: Any) -> str:
-    """Render a Jinja template in `templates/` of a package with variables `content`; escape them in `.html` files."""
+    """Render a Jinja template, in `templates/` of a package, with the variables `content`, escaped in `.html` files."""
     # Imported here: simulations write no such files.
     from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 

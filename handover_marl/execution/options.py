@@ -1,4 +1,4 @@
-"""Checks of options that many public functions have, and queries of the processor and installed packages."""
+"""Signatures and checks of options of public functions, and queries of the processor and installed packages."""
 
 import functools
 import importlib.util
@@ -19,7 +19,7 @@ from handover_marl.execution.files import shorten_text
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
-#: Largest length of the name of a file or folder (bytes) in usual file systems.
+# Largest length (bytes) of the name of a file or folder in usual file systems.
 _LONGEST_NAME = 255
 
 
@@ -28,15 +28,15 @@ def forward_signature(
     without: Mapping[str, str] = MappingProxyType({}),
     defaults: Mapping[str, Any] = MappingProxyType({}),
 ) -> Callable[[_Function], _Function]:
-    """Return a decorator that replaces `**keywords` in a signature by the parameters of functions or dataclasses.
+    """Return a decorator that replaces `**keywords` in a function's signature by the parameters of `sources`.
 
     Help, documentation and editors then list these parameters. A call with another keyword raises an
     `UnknownArgumentError`.
 
     Args:
         sources: Functions or dataclasses with the parameters.
-        without: Parameters that are not listed, each with the advice of the `OptionError` that another value than its
-            default raises.
+        without: Parameters that are not listed, each with advice. The `OptionError` for a value other than the default
+            contains this advice.
         defaults: Defaults that replace those of the sources.
     """
 
@@ -71,7 +71,7 @@ def forward_signature(
 def count_available_cores() -> int:
     """Return the number of processor cores that the current process may use.
 
-    Limits of containers and of the environment variable LOKY_MAX_CPU_COUNT count as well.
+    The number respects the limits of containers and of the environment variable LOKY_MAX_CPU_COUNT.
     """
     return int(loky.cpu_count())
 
@@ -86,8 +86,8 @@ class PoolConfig:
     """Configuration of a worker pool.
 
     Attributes:
-        workers: Number of worker processes; default: one per core. Results state it, since planning times are
-            wall-clock times.
+        workers: Number of worker processes; default: one per core. Results contain this number, since it affects
+            planning times, which are wall-clock times.
         ray_address: Address of the Ray cluster whose nodes run the workers, as in `ray.init`: host:port, "auto" for the
             cluster in RAY_ADDRESS or on this machine, or "local" to start one; default: processes of this machine,
             without Ray.
@@ -136,14 +136,14 @@ def is_pybullet_installed() -> bool:
 
 
 def require_modules(feature: str, extra: str, *modules: str, advice: str = "") -> None:
-    """Raise an OptionError with feature, extra and `advice` in its text if optional modules are missing."""
+    """Raise OptionError if one of `modules` is not installed; the message has `feature`, `extra` and `advice`."""
     missing = [module for module in modules if not is_installed(module)]
     if missing:
         raise OptionError(f"{feature} needs {' and '.join(missing)}: pip install 'handover-marl[{extra}]'{advice}")
 
 
 def require_pybullet(feature: str, advice: str) -> None:
-    """Raise OptionError if PyBullet is missing; it names the feature that needs it, and gives `advice`."""
+    """Raise OptionError if PyBullet is not installed; the message has `feature` and `advice`."""
     if not is_pybullet_installed():
         raise OptionError(
             f"{feature} needs PyBullet, which is not installed (it has wheels up to Python 3.13); {advice}"

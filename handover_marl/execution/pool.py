@@ -1,7 +1,7 @@
-"""Pools of workers, on this machine or on a Ray cluster, and functions that apply them to tasks.
+"""Pools of workers on this machine or on a Ray cluster, which apply a function to tasks.
 
 Processes on this machine are started by the library loky. Unlike with multiprocessing, the caller's script is not
-imported again in the workers, so that it needs no `if __name__ == "__main__"`. Ray is optional: functions import it.
+imported again in the workers, so that it needs no `if __name__ == "__main__"`. Ray is optional: methods import it.
 """
 
 import functools
@@ -39,7 +39,7 @@ from handover_marl.version import __version__
 
 _EXIT_CODES = re.compile(r"\{(.*)\}")
 _PARENT_CHECK_S = 0.2
-# Packages that results depend on bit for bit.
+# Packages whose versions can change bits of results.
 _PACKAGES = ("numpy", "scipy", "pybullet", "pybullet-arm64", "mujoco")
 _CONNECTION_TIMEOUT_S = 20.0
 
@@ -47,8 +47,8 @@ _CONNECTION_TIMEOUT_S = 20.0
 class Pool:
     """Pool of worker processes on this machine; a single worker is the caller's process.
 
-    `n_workers` tasks run at a time. `location` says where, e.g. "on a Ray cluster", and is empty for this machine;
-    `is_remote` whether workers may run on machines that share no files with the main machine.
+    `n_workers` tasks run at a time. `location` is the place of the workers, e.g. "on a Ray cluster", or "" for this
+    machine; `is_remote` is whether workers may run on machines that share no files with the main machine.
     """
 
     location: str = ""
@@ -64,14 +64,15 @@ class Pool:
     ) -> Generator[tuple[int, Result], None, None]:
         """Apply a function to tasks and yield (index in `tasks`, result) as tasks finish.
 
-        Functions and classes of scripts and notebooks are sent by value. Closing the generator ends all tasks that
-        still run. An error of the function is raised here, and `WorkerError` if a worker process dies.
+        Functions and classes of scripts and notebooks are sent by value. Closing the generator ends all running tasks.
+        Errors of the function are raised here, from worker processes as errors of this library: other errors become
+        `WorkerError`, as does the death of a process.
 
         Args:
-            open_worker: Function that returns a context manager, which yields the function to apply; entered once in
-                each worker process, before its first task.
+            open_worker: Function that returns a context manager, which yields the function to apply. Each worker
+                process enters the context once, before its first task.
             tasks: Picklable arguments of the function.
-            describe: Short description of a task for messages, such as "simulating scene 209".
+            describe: Function that describes a task for messages, e.g. as "simulating scene 209".
         """
         if min(self.n_workers, len(tasks)) <= 1:
             if tasks:
@@ -132,10 +133,10 @@ def _start_worker() -> None:
 
 
 class RayPool:
-    """Pool of workers on the Ray cluster at `address`, whose nodes may join and leave; has the methods of `Pool`.
+    """Pool of workers on the Ray cluster at `address`; nodes may join and leave. It has the methods of `Pool`.
 
-    Each task runs on one core, and once more if its process or node dies. A connection of this process to Ray is used
-    if it exists; a new one lasts as long as the process. As many tasks run at a time as there are cores, or `workers`.
+    Each task runs on one core, and once more if its process or node dies. An existing connection of this process to Ray
+    is used; a new connection lasts as long as the process. `workers` tasks run at a time, by default one per core.
     """
 
     location = "on a Ray cluster"
@@ -230,7 +231,7 @@ def run_ray_task(
 
 
 def get_installed_versions() -> dict[str, str]:
-    """Return the versions of this library and of packages that results depend on, by name; "none" if missing."""
+    """Return the versions of this library and of packages that affect results, by name; "none" if not installed."""
     found = {"handover_marl": __version__}
     for name in _PACKAGES:
         try:
@@ -254,10 +255,7 @@ AnyPool: TypeAlias = Pool | RayPool
 
 
 def open_pool(config: PoolConfig) -> AnyPool:
-    """Return a worker pool with a configuration; close it after its last job.
-
-    Processes are started, and Ray clusters connected to, for the first task.
-    """
+    """Return a worker pool, which the caller must close; it starts processes or connects to Ray for its first task."""
     n_workers = resolve_worker_count(config.workers)
     if config.ray_address is None:
         return Pool(n_workers)
@@ -275,7 +273,7 @@ def map_with_progress(
     """Apply a function to tasks in worker processes and yield (task, result) as tasks finish, with a progress bar.
 
     Args:
-        make_function: Factory of the function to apply; called once in every worker process.
+        make_function: Function that makes the function to apply; called once in each worker process.
         tasks: Picklable arguments of the function.
         description: Label of the progress bar.
         config: Configuration of the worker pool.

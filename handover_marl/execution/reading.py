@@ -23,9 +23,9 @@ from handover_marl.execution.files import shorten_text
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
-#: Largest accepted size of a file of data or weights without a limit of its own (bytes).
+#: Largest accepted size (bytes) of a file of data or weights, unless the file has another limit.
 MAX_FILE_BYTES = 500_000_000
-_MAX_ARCHIVE_OVERHEAD = 1_000_000  # bytes that an archive may have beyond its contents
+_MAX_ARCHIVE_OVERHEAD = 1_000_000  # bytes of an archive in addition to its contents
 
 
 def read_mtime(path: Path | str) -> int:
@@ -79,7 +79,7 @@ def read_plain_file(path: Path, largest: int = MAX_FILE_BYTES) -> bytes:
 
 
 def check_archive(source: Path | bytes, largest: int) -> None:
-    """Raise ValueError if a zip archive, a file or its content, states file sizes of over `largest` bytes in all."""
+    """Raise ValueError if the files in a zip archive have more than `largest` bytes in all, as the archive states."""
     if isinstance(source, Path):
         check_plain_file(source, largest + _MAX_ARCHIVE_OVERHEAD)
     with zipfile.ZipFile(io.BytesIO(source) if isinstance(source, bytes) else source) as archive:
@@ -95,7 +95,7 @@ def read_arrays(
     Args:
         source: The file, or its content.
         names: Names of the arrays to read, which the file must contain; None for all its arrays.
-        largest: Largest allowed size after unpacking (bytes).
+        largest: Largest allowed total size of the file's unpacked members (bytes).
     """
     check_archive(source, largest)
     with np.load(io.BytesIO(source) if isinstance(source, bytes) else source, allow_pickle=False) as archive:
@@ -107,7 +107,7 @@ def read_arrays(
 
 
 def read_yaml(path: Path, largest: int) -> object:
-    """Read a YAML file of at most `largest` bytes: numbers, text, lists and mappings, without aliases."""
+    """Read numbers, text, lists and mappings from a YAML file of at most `largest` bytes; refuse aliases."""
     data = read_plain_file(path, largest)
     try:
         return yaml.load(data, _LoaderWithoutAliases)

@@ -1,7 +1,7 @@
 """Tasks that worker processes run.
 
-A job is a function that a process creates once and then applies to its tasks. Jobs, tasks and results are pickled by
-value, so that functions and classes of scripts and notebooks work.
+For each job, a process makes one function and then applies it to the tasks of the job. Jobs, tasks and results are
+pickled by value, so that functions and classes of scripts and notebooks work.
 """
 
 import pickle
@@ -16,7 +16,7 @@ from handover_marl.errors import HandoverError, PolicyError, WorkerError
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
-#: Factory of the function that a worker process applies to its tasks; entered once per process.
+#: Function that returns a context manager, which yields the function to apply to tasks; entered once per process.
 OpenWorker: TypeAlias = Callable[[], AbstractContextManager[Callable[[Task], Result]]]
 
 
@@ -41,9 +41,9 @@ def unpickle(pickled: bytes) -> Any:
 
 
 def run_pickled_task(job_id: str, pickled_job: bytes, pickled_task: bytes) -> bytes:
-    """Run a task of a job in the current process and return its result, or the error that ended it, pickled.
+    """Run a task of a job in the current process; return the pickled result, or the pickled error of the task.
 
-    A job is a pair (open_worker, describe); the resources of another job are freed.
+    A job is a pair (open_worker, describe). The first task of a job frees the resources of the job before.
     """
     state, description = _ProcessState, "a task"
     try:
@@ -63,7 +63,7 @@ def run_pickled_task(job_id: str, pickled_job: bytes, pickled_task: bytes) -> by
 
 
 def convert_error(error: Exception, description: str) -> HandoverError:
-    """Convert an error that is being handled to one that can be pickled; `description` says what has failed."""
+    """Convert the error that is being handled to an error that can be pickled; `description` says what has failed."""
     # The cause is lost when an exception is pickled, so its traceback goes into the text.
     if isinstance(error, PolicyError):
         return PolicyError(f"{error}\n{traceback.format_exc()}")
