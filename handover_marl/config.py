@@ -1,7 +1,7 @@
 """Configuration of the simulated world and the protocol, as frozen dataclasses.
 
 SI units, radians, quaternions xyzw. The defaults are HandoverSim's (Chao et al., ICRA 2022); official
-results exist for these values only. Constants in capitals are fixed by the data or the robot.
+results exist for these values only. Constants in capitals cannot be configured.
 """
 
 import math
@@ -20,7 +20,7 @@ MAX_IMAGE_SIDE = 8192
 Vector3 = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
-#: Physics step (s). Recordings have one row per step; periods are multiples of it.
+#: Duration of a physics step (s). Recordings have one row per step; control periods are whole numbers of steps.
 TIME_STEP = 0.001
 #: Longest control period of an environment or a policy (s).
 MAX_CONTROL_PERIOD = 5.0
@@ -36,20 +36,20 @@ N_KEYPOINTS = 16
 
 
 class CheckedConfig:
-    """Base class of configurations whose fields are checked when they are made.
+    """Base class of configurations that check their fields on construction.
 
-    Every number must be finite, every tuple as long as its default unless `any_length` names it, and
-    every dataclass of the default's class.
+    Numbers must be finite. A tuple must be as long as its default, unless its field is in `any_length`. A field whose
+    default is a dataclass must have a value of the same class.
 
     Raises:
         OptionError: A field has another type, or a number is out of range.
     """
 
-    #: Smallest and largest value of fields that are not `bounded`, ends included; for tuples of every number.
+    #: Smallest and largest allowed number, both included, in fields that are not `bounded`.
     default_limits: ClassVar[tuple[float, float]] = (-math.inf, math.inf)
-    #: Names of fields that are tuples of any length, of numbers or of tuples of numbers, which may be negative.
+    #: Names of fields that are tuples of any length, perhaps nested. Their numbers must be finite, but have no limits.
     any_length: ClassVar[frozenset[str]] = frozenset()
-    #: Pairs of names of fields, of which the first must not be larger than the second.
+    #: Pairs of field names; the value of the first field must be at most that of the second.
     ordered_fields: ClassVar[tuple[tuple[str, str], ...]] = ()
 
     def __post_init__(self) -> None:
@@ -78,12 +78,12 @@ class CheckedConfig:
 
 
 def bounded(default: float | tuple[float, ...], low: float, high: float = math.inf) -> Any:
-    """Return a dataclass field of a `CheckedConfig` with this default, whose numbers must be from `low` to `high`."""
+    """Return a field of a `CheckedConfig` with a default; all numbers in the field must be from `low` to `high`."""
     return field(default=default, metadata={"limits": (low, high)})
 
 
 def check_config(name: str, value: object, config_class: type) -> None:
-    """Check that a value is a configuration of a class; `name` is the name of the argument, for the error.
+    """Check that a value is an instance of `config_class`; the error message calls the value `name`.
 
     Raises:
         OptionError: The value is not an instance of the class.
@@ -126,13 +126,13 @@ def _check_number(name: str, value: Any, is_integer: bool, limits: tuple[float, 
 class MotorConfig(CheckedConfig):
     """Motor parameters of the position control of a group of joints.
 
-    In fast and MuJoCo physics, objects that the Panda cannot reach soon, and the human hand at all times, follow their
-    targets by `position_gain` alone: their `force` and `velocity_gain` have no effect.
+    Fast and MuJoCo physics use only `position_gain` for the human hand, and for objects while the Panda cannot reach
+    them soon. `force` and `velocity_gain` then have no effect.
 
     Attributes:
         force: Largest motor force (N) or torque (N m).
-        position_gain: Share of the position error that is corrected in one step.
-        velocity_gain: Share of the velocity error that is corrected in one step.
+        position_gain: Share of the position error that is corrected in one physics step.
+        velocity_gain: Share of the velocity error that is corrected in one physics step.
     """
 
     default_limits: ClassVar[tuple[float, float]] = (0.0, math.inf)
@@ -221,8 +221,8 @@ class PhysicsConfig(CheckedConfig):
 class GiverConfig(CheckedConfig):
     """Limits of the giver's deviation from the recorded motion.
 
-    The default speeds and accelerations are lower than the peaks in 95 % of DexYCB's reaches, which exceed 0.86 m/s and
-    7.1 m/s^2 of the wrist and 2.6 rad/s of its rotation (every tenth recording, smoothed over 0.1 s).
+    In 95 % of DexYCB's reaches, the wrist's peak speed exceeds 0.86 m/s, its peak acceleration 7.1 m/s^2 and its peak
+    turn speed 2.6 rad/s (every tenth recording, smoothed over 0.1 s). The defaults of these three limits are lower.
 
     Attributes:
         displacement: Largest wrist displacement along each axis (m).
@@ -246,7 +246,7 @@ class GiverConfig(CheckedConfig):
     rate_change: float = bounded(5.0, 0.0)
     opening: float = bounded(0.7, 0.0, 1.0)
     opening_time: float = bounded(0.3, 0.0)
-    # Observation spaces, features and learned givers have five poses.
+    # Must have five times: observation spaces, features and learned givers expect five previewed poses.
     preview: tuple[float, ...] = bounded((0.1, 0.2, 0.3, 0.4, 0.5), 0.0)
 
 
@@ -256,8 +256,8 @@ class ProtocolConfig(CheckedConfig):
 
     Attributes:
         release_steps: Consecutive physics steps for which a release condition must hold.
-        region_lower: Lower corner of the grasp region in a finger link's frame (m), exclusive.
-        region_upper: Upper corner of the grasp region in a finger link's frame (m), exclusive.
+        region_lower: Lower corner (m) of the grasp region, an open box in each finger link's frame.
+        region_upper: Upper corner (m) of the grasp region. Finger contacts with the object inside it count as a grasp.
         goal_center: Center of the spherical goal region, world frame (m).
         goal_radius: Largest distance of the Panda's hand link from the goal's center (m).
         success_steps: Consecutive physics steps for which the gripper must hold the object at the goal.
@@ -295,7 +295,7 @@ class WorldConfig(CheckedConfig):
     physics: PhysicsConfig = field(default_factory=PhysicsConfig)
     protocol: ProtocolConfig = field(default_factory=ProtocolConfig)
     giver: GiverConfig = field(default_factory=GiverConfig)
-    # Result folders state it beside the hash of the other fields, which is a hash of `repr`.
+    # Not in `repr`: result folders store a hash of `repr` for the other fields, and this number as it is.
     initial_joint_noise: float = field(default=0.0, repr=False, metadata={"limits": (0.0, 0.3)})
 
     def draw_initial_joints(self, seed: int) -> tuple[float, ...]:
@@ -319,23 +319,23 @@ OFFICIAL_CONFIG = WorldConfig()
 class CameraConfig(CheckedConfig):
     """Configuration of a pinhole camera; the default shows robot, table and hand from the side.
 
-    Position, target and `up` are in the frame of the link on which the camera is mounted, or in the world frame. The
-    horizontal field of view follows from the sides of the image, since pixels are squares.
+    Position, target and `up` are in the frame of `link`, or in the world frame if `link` is "". Pixels are square, so
+    the horizontal field of view follows from the image's aspect ratio.
 
     Attributes:
         width: Width of the image (pixels).
         height: Height of the image (pixels).
         vertical_fov: Vertical field of view (degrees).
-        near: Distance of the near plane (m).
-        far: Distance of the far plane (m).
+        near: Distance of the near clipping plane (m).
+        far: Distance of the far clipping plane (m).
         position: Position of the camera (m).
         target: Point at the image's center (m).
         up: Direction of the image's upper edge, not parallel to the viewing direction.
         link: Link of the robot on which the camera is mounted, e.g. "panda_hand"; "" for a camera that is fixed in the
-            world, which overview images need.
-        name: Name of the camera, which starts the keys of its observations, e.g. "front_rgb".
-        period: Time between two images (s), a whole number of milliseconds, after which an observation has a new image;
-            0 for a new image in every observation.
+            world. Overview images need a fixed camera.
+        name: Name of the camera. The keys of its observations begin with this name, e.g. "front_rgb".
+        period: Time between two images (s), a whole number of milliseconds; observations in between repeat the last
+            image. 0 for a new image in every observation.
     """
 
     width: int = bounded(640, 1, MAX_IMAGE_SIDE)
@@ -379,7 +379,7 @@ CAMERAS = {
 
 
 def make_camera(name: str, /, **fields: Any) -> CameraConfig:
-    """Return one of `CAMERAS` with other values of some fields, e.g. `make_camera("wrist", width=128, height=128)`.
+    """Return a copy of a camera in `CAMERAS` with some fields changed, e.g. `make_camera("wrist", width=128)`.
 
     Raises:
         UnknownNameError: There is no camera of that name.

@@ -18,7 +18,7 @@ class DataFormatError(HandoverError, ValueError):
 
 
 class UnsafeFileError(DataFormatError):
-    """Error for a file that could run code (a pickle of other objects, or a module's name); no code was run."""
+    """Error for a file that could run code (a pickle of unexpected objects, or a module's name); no code was run."""
 
 
 class UnknownNameError(HandoverError, ValueError):
@@ -45,7 +45,7 @@ class UnknownArgumentError(HandoverError, TypeError):
     """Error for a keyword argument that a function does not have.
 
     Args:
-        function: Name of the function; or the whole message, without the other arguments.
+        function: Name of the function; or the complete message, if `name` is left out.
         name: Name of the unknown argument.
         valid: Names of the function's arguments.
     """
@@ -67,10 +67,10 @@ def suggest_name(name: object, valid: Iterable[str]) -> str:
 
 
 def check_name(kind: str, name: object, valid: Iterable[object]) -> None:
-    """Check that a choice of a `kind` such as "split" exists: a name or number that is one of the valid ones.
+    """Check that `name`, a text or integer, is one of the `valid` ones; error messages call it a `kind`, e.g. "split".
 
     Raises:
-        UnknownNameError: The choice does not exist.
+        UnknownNameError: The name is not valid.
     """
     choices = tuple(valid)
     if not isinstance(name, (str, Integral)) or name not in choices:
@@ -90,11 +90,11 @@ class ActionError(HandoverError, ValueError):
 
 
 class RewardError(HandoverError, ValueError):
-    """Error for a user-defined reward that fails, or a term of it that is not finite or has a wrong agent or name."""
+    """Error for a user-defined reward that fails, or that returns a term with a wrong agent, name or value."""
 
 
 class EncodingError(HandoverError, ValueError):
-    """Error for user-defined features or action schemes that fail, or return a wrong size, type or number."""
+    """Error for user-defined features or action schemes that fail, or return an array of wrong size, type or values."""
 
 
 class ResetNeededError(HandoverError, RuntimeError):
@@ -102,7 +102,7 @@ class ResetNeededError(HandoverError, RuntimeError):
 
 
 class SimulationError(HandoverError, RuntimeError):
-    """Error of the simulation, e.g. for a model file, a window without a display, or two threads at once."""
+    """Error of the simulation, e.g. for a damaged model file, or for an environment that two threads use at once."""
 
 
 class WorkerError(HandoverError, RuntimeError):

@@ -34,9 +34,9 @@ def check_receiver(
 ) -> None:
     """Check that a receiver meets the requirements of evaluations, by running it in a few scenes.
 
-    The receiver can be constructed and sent to worker processes; its actions are valid; it does not modify its
-    observations; and its actions depend on seed and scene only, not on earlier episodes, on the process or on global
-    random generators.
+    Requirements: the receiver can be constructed and pickled for worker processes. It does not modify its observations.
+    Its actions are valid and depend on seed and scene only, not on earlier episodes, the process or global random
+    generators.
 
     Args:
         receiver: Receiver, as in `handover_marl.benchmark`.
@@ -56,7 +56,7 @@ def check_giver(
 ) -> None:
     """Check that a giver meets the requirements of evaluations, by running it with the receiver `yang2021`.
 
-    `giver` is as in `handover_marl.crossplay`; requirements, other arguments and errors are those of `check_receiver`.
+    `giver` is as in `handover_marl.crossplay`. Requirements, other arguments and errors are those of `check_receiver`.
     """
     _check("giver", giver, dataset or open_dataset("synthetic"), scenes, steps)
 
