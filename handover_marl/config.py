@@ -257,7 +257,7 @@ class ProtocolConfig(CheckedConfig):
     Attributes:
         release_steps: Consecutive physics steps for which a release condition must hold.
         region_lower: Lower corner (m) of the grasp region, an open box in each finger link's frame.
-        region_upper: Upper corner (m) of the grasp region. Finger contacts with the object inside it count as a grasp.
+        region_upper: Upper corner (m) of the grasp region; finger-object contacts in the region count as a grasp.
         goal_center: Center of the spherical goal region, world frame (m).
         goal_radius: Largest distance of the Panda's hand link from the goal's center (m).
         success_steps: Consecutive physics steps for which the gripper must hold the object at the goal.

@@ -105,7 +105,7 @@ class Scene:
         return (self.assets.table, self.assets.panda, *self.assets.objects, self.assets.hand)
 
     def is_hand_present(self, frames: npt.NDArray[np.int_]) -> npt.NDArray[np.bool_]:
-        """Return for each frame index (n,), 1 ms each, whether the human hand is visible, (n,)."""
+        """Return a mask (n,) of the frame indices (n,), at 1 kHz, at which the human hand is visible."""
         if self.hand_first is None or self.hand_last is None:
             return np.zeros(frames.shape, dtype=bool)
         return (self.hand_first <= frames) & (frames <= self.hand_last)
@@ -126,9 +126,9 @@ class Dataset(ABC):
         robot: Variant of the Panda.
         source_folder: Folder of the data set, or None if its name suffices to open it again.
         n_scenes: Number of scenes; they are numbered from 0.
-        setups: Names of the setups (ways to divide the scenes into train, val and test), the default first. `s0`
-            to `s3` are HandoverSim's, whose splits have its sizes.
-        object_names: Class names of objects by class number: 1-21 the YCB classes, from 22 on others; can be pickled.
+        setups: Names of the setups (ways to divide the scenes into train, val and test), the default first. The names
+            `s0` to `s3` stand for HandoverSim's setups.
+        object_names: Class names of objects by class number: 1-21 for YCB classes, from 22 on for others. Picklable.
         quick_validation: Whether grasps are validated with few simulations, because there are very many classes.
 
     Raises:
@@ -180,9 +180,9 @@ class Dataset(ABC):
 
     @abstractmethod
     def compute_fingerprint(self, scene_id: int) -> str:
-        """Return a text that identifies a scene's content: it changes with the motion, models or robot grasps.
+        """Return a text that identifies a scene's content and changes with its motion, models or robot grasps.
 
-        Evaluations compute it for all scenes before the first simulation, which finds files that are missing.
+        Evaluations compute this text for all scenes before the first simulation, so missing files are found early.
 
         Raises:
             DataNotFoundError: A file is missing.
@@ -190,7 +190,7 @@ class Dataset(ABC):
         """
 
     def describe_models(self, scene_id: int) -> str:
-        """Return text for reports on the origin of a scene's models, e.g. "MANO hand, stand-in grasps", or ""."""
+        """Return a note for reports on where a scene's models are from, e.g. "MANO hand, stand-in grasps", or ""."""
         return ""
 
     def find_side(self, scene_id: int) -> str:
@@ -224,7 +224,7 @@ class Dataset(ABC):
             raise SceneError(f"scene {scene_id} does not exist; scenes are numbered 0 to {self.n_scenes - 1}")
 
     def find_assets(self, info: SceneInfo, hand: Path) -> SceneAssets:
-        """Return the URDF files of a scene's bodies, with the library's table and the URDF `hand` of the person's hand.
+        """Return the URDF files of a scene's bodies; `hand` is that of the person's hand, the table is the library's.
 
         Raises:
             DataNotFoundError: A file is missing.

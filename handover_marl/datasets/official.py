@@ -68,7 +68,7 @@ class FileOrigin(Enum):
 
 @cache
 def read_third_party_checksums() -> MappingProxyType[str, str | None]:
-    """Return the SHA-256 (hexadecimal) of every third-party file by its path in `assets/`; None if it is unknown."""
+    """Return the SHA-256 checksums (hexadecimal, None if unknown) of all third-party files by path in `assets/`."""
     text = (files(__package__) / "third_party.sha256").read_text()
     pairs = [line.split(maxsplit=1) for line in text.splitlines() if line and not line.startswith("#")]
     return MappingProxyType({path: None if known == "-" else known for known, path in pairs})
@@ -80,7 +80,7 @@ def list_required_files() -> tuple[str, ...]:
 
 
 def classify_file_origin(path: str, content: bytes) -> FileOrigin:
-    """Return STAND_IN if the content is marked so, ORIGINAL if it has the known checksum of `path`, else UNKNOWN."""
+    """Return STAND_IN if `content` is marked as one, ORIGINAL if it has the known checksum of `path`, else UNKNOWN."""
     if STAND_IN.encode() in content[:_HEADER_BYTES]:
         return FileOrigin.STAND_IN
     known = read_third_party_checksums().get(path)
@@ -89,9 +89,9 @@ def classify_file_origin(path: str, content: bytes) -> FileOrigin:
 
 
 def find_hand_origin(folder: Path) -> FileOrigin:
-    """Return ORIGINAL for the folder of a hand compiled from MANO, else STAND_IN; UNKNOWN if it cannot be read.
+    """Return ORIGINAL if a hand's folder was made from MANO, else STAND_IN; UNKNOWN if its palm mesh cannot be read.
 
-    The palm of a compiled hand is an open surface: some edges belong to one triangle. Other hands have closed meshes.
+    A palm from MANO is an open surface: some edges belong to only one triangle. Other palms are closed meshes.
     """
     try:
         lines = read_plain_file(folder / "meshes" / "visual" / "mesh1.obj").splitlines()
@@ -116,9 +116,9 @@ def is_stand_in_file(path: Path) -> bool:
 
 
 def describe_origins(kind: str, *origins: FileOrigin) -> list[str]:
-    """Return a note on files of a kind, e.g. "grasps", from the origin of each file, as a list of one or no text.
+    """Return a list of one note on the origins of files of a `kind`, e.g. "grasps", or an empty list.
 
-    The note is "stand-in KIND" if a file is a stand-in, else "KIND of unknown origin" if an origin is unknown.
+    The note is "stand-in KIND" if any file is a stand-in, else "KIND of unknown origin" if any origin is unknown.
     """
     if FileOrigin.STAND_IN in origins:
         return [f"stand-in {kind}"]
@@ -150,7 +150,7 @@ def _read_scene_info(path: Path, scene_id: int) -> tuple[SceneInfo, list[int]]:
 
 
 def read_motion(path: Path, shapes: Mapping[str, tuple[int, ...]], advice: str) -> list[npt.NDArray[np.float32]]:
-    """Read float32 arrays (T, *shape) of T frames each from a motion file (`.npz`); `shapes` has the shapes by name.
+    """Read arrays (T, *shape) of T frames from a motion file (`.npz`) as float32; `shapes` maps their names to `shape`.
 
     A damaged file raises `DataFormatError` with `advice` for the user.
     """
@@ -164,7 +164,7 @@ def read_motion(path: Path, shapes: Mapping[str, tuple[int, ...]], advice: str) 
 
 
 def check_scene_meta(ids: list[int], grasped: int, sides: list[Any]) -> None:
-    """Raise `ValueError` for a fault in a meta file: class numbers, index of the handed-over object, sides of hands."""
+    """Raise `ValueError` if a meta file's class numbers `ids`, index `grasped` of one of them, or `sides` are wrong."""
     if not 1 <= len(ids) <= MAX_OBJECTS or not set(ids) <= set(SCENE_CLASSES):
         classes = ", ".join(map(str, SCENE_CLASSES))
         raise ValueError(f"ycb_ids must be 1 to {MAX_OBJECTS} of the object classes {classes}, got {ids}")
@@ -253,7 +253,7 @@ class OfficialDataset(Dataset):
         return require_file(self._assets / object_name / "model_normalized.urdf")
 
     def load_grasps(self, object_name: str) -> npt.NDArray[np.float64] | None:
-        """Load robot grasps of a YCB class: gripper poses (n, 4, 4) in the object's frame (m), or None."""
+        """Load robot grasps of a YCB class: gripper poses (n, 4, 4) in the object's frame (m); None if it has none."""
         path = self._find_grasp_file(object_name)
         return None if path is None else self._load_grasps(path).copy()
 

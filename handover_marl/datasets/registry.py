@@ -13,7 +13,7 @@ from handover_marl.geometry.panda import PANDA
 
 #: Environment variable with the data folder, for calls without the argument `data_dir`.
 DATA_DIR_VARIABLE: Final = "HANDOVER_MARL_DATA"
-#: Name of DexYCB if a data folder is given or set, else of the synthetic scenes.
+#: Name that stands for DexYCB if a data folder is given or set, else for the synthetic scenes.
 AUTO: Final = "auto"
 
 
@@ -47,14 +47,14 @@ def open_dataset(dataset: str = AUTO, data_dir: str | os.PathLike[str] | None = 
     """Return a data set by name.
 
     Args:
-        dataset: "synthetic", "dexycb", another kind of `handover_marl.datasets.registry.KINDS`, or "auto":
-            DexYCB if a data folder is given or set, else the synthetic scenes.
+        dataset: "synthetic", "generated:n=1000,seed=0", "dexycb", "own:FOLDER", or "auto": DexYCB if a data folder is
+            given or set in `HANDOVER_MARL_DATA`, else the synthetic scenes.
         data_dir: Folder of the data; default for DexYCB: the one in `HANDOVER_MARL_DATA`.
         robot: Variant of the Panda, "panda" or "panda_camera".
 
     Raises:
         UnknownNameError: The data set or the robot does not exist.
-        OptionError: A data folder is given for synthetic or generated scenes, has other scenes, or is not a path.
+        OptionError: `data_dir` is not a path, holds other scenes than `dataset`, or is given for scenes without folder.
         DataNotFoundError: DexYCB is requested without a data folder, or the folder is missing.
     """
     given = None if data_dir is None else str(check_path("data_dir", data_dir))
@@ -109,6 +109,6 @@ def format_dataset_title(name: str) -> str:
 
 
 def find_dataset_note(name: str) -> str:
-    """Return the sentence that belongs below tables of a data set's results; empty if there is none."""
+    """Return the sentence that belongs below tables of a data set's results; "" for none."""
     kind = name.partition(":")[0]
     return KINDS[kind].note if kind in KINDS else ""

@@ -14,14 +14,14 @@ import numpy as np
 from handover_marl.errors import UnsafeFileError
 from handover_marl.execution.files import shorten_text
 
-#: Functions and classes that a pickle may use, by the module and name that it asks for.
+#: Functions and classes that a pickle may use, by the pair (module, name) that stands in the pickle.
 AllowedNames: TypeAlias = Mapping[tuple[str, str], Callable[..., object]]
 
 # NumPy's functions that make arrays; their modules have other names in other versions.
 _RECONSTRUCT: Any = np.zeros(1).__reduce__()[0]
 _FROM_BUFFER: Any = np.zeros(1).__reduce_ex__(5)[0]
 
-#: Names in pickles of arrays, and of dicts of arrays, by all versions of NumPy.
+#: Functions and classes that pickles of arrays, and of dicts of arrays, use in all versions of NumPy.
 ARRAY_NAMES: AllowedNames = {
     ("numpy", "ndarray"): np.ndarray,
     ("numpy", "dtype"): np.dtype,

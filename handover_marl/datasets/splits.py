@@ -27,7 +27,7 @@ SPLIT_SIZES = {
 #: Objects 0 (master chef can) and 15 (wood block), too large for the gripper and in no split.
 SKIPPED_OBJECTS = frozenset({0, 15})
 
-# Subjects, objects, trials and hands of the scenes of each split; all where it says none.
+# Subjects, objects, trials and hands whose scenes are in each split; a missing key allows all.
 _FILTERS: dict[tuple[str, str], dict[str, Collection[object]]] = {
     ("s0", "train"): {"trial": range(4)},
     ("s0", "val"): {"subject": range(2), "trial": [4]},
@@ -45,7 +45,7 @@ _FILTERS: dict[tuple[str, str], dict[str, Collection[object]]] = {
 
 
 def list_split_scenes(setup: str, split: str, find_side: Callable[[int], str]) -> tuple[int, ...]:
-    """Return a split's scene numbers in ascending order; a scene's position is its index in official result files.
+    """Return the scene numbers of a split, ascending; their positions are the scene indices in official result files.
 
     The setups are "s0" (no held-out factor), "s1" (unseen subjects), "s2" (unseen handedness), "s3" (unseen objects).
     `find_side` returns the hand of a scene, "right" or "left"; it is only called for trial 4 of s2.
@@ -70,9 +70,9 @@ def get_prescribed_side(scene: int) -> Literal["left", "right"] | None:
 
 
 def choose_scenes(split_ids: tuple[int, ...], scenes: Iterable[int] | None, split_label: str) -> tuple[int, ...]:
-    """Return `scenes` sorted and without repetitions, or all numbers `split_ids` of a split if `scenes` is None.
+    """Return `scenes`, sorted and without repetitions; None gives all scenes of a split, whose numbers are `split_ids`.
 
-    Raise `SceneError`, which names the split by `split_label`, if a scene is not in the split or there is no scene.
+    Raise `SceneError` if a scene is not in the split, or if either is empty. The message has the name `split_label`.
     """
     if not split_ids:
         raise SceneError(f"{split_label} has no scenes; choose another split, or a data set with more scenes")
@@ -95,7 +95,7 @@ def choose_scenes(split_ids: tuple[int, ...], scenes: Iterable[int] | None, spli
 
 
 def select_scenes_evenly(scene_ids: Sequence[int], n: int) -> tuple[int, ...]:
-    """Return at most n of a split's scene numbers, evenly spaced over their order; raise `OptionError` if n < 1."""
+    """Return at most n of `scene_ids`, at evenly spaced positions; raise `OptionError` if n < 1."""
     if isinstance(n, bool) or not isinstance(n, int) or n < 1:
         raise OptionError(f"number of scenes must be a whole number of at least 1, got {shorten_text(n)}")
     chosen = np.unique(np.linspace(0, len(scene_ids) - 1, min(n, len(scene_ids))).round().astype(int))

@@ -41,7 +41,7 @@ class SyntheticDataset(HandoverGenerator):
         return _find_side(scene_id)
 
     def compute_fingerprint(self, scene_id: int) -> str:
-        """Return the version of the scene generator, which determines all scenes."""
+        """Return "synthetic-VERSION", the same for all scenes, since the generator's version determines them."""
         return f"synthetic-{VERSION}"
 
 

@@ -107,8 +107,8 @@ def write_missing_files(folder: Path, files: Mapping[str, bytes], replace_stand_
 def write_hand_assets(assets: Path, subject: str, model: ManoModel, betas: Sequence[float] | Array) -> Path:
     """Write the 33 files of a subject's hand to `<subject>_<side>/` in `assets/`, and return the path of this folder.
 
-    The files are `mano.urdf` and `meshes/<visual or collision>/mesh1..16.obj`. HandoverSim uses MANO's shape parameters
-    `betas` (10,) of the subject's first scene for both sides.
+    The files are `mano.urdf` and `meshes/<visual or collision>/mesh1..16.obj`. `betas` (10,) are MANO's shape
+    parameters; HandoverSim uses those of the subject's first scene for both hands.
     """
     vertices = model.shape_vertices(betas)
     joints = model.regress_joints(vertices)

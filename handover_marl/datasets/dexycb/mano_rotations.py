@@ -1,8 +1,8 @@
 """Rotations, frames and resampling with the rounding of HandoverSim's conversion of DexYCB.
 
-The float32 result of a matrix product depends on whether the processor fuses multiplication and addition, and on the
-kernel of the library. HandoverSim's files were made with fused sums in one place and plain sums in another, so both are
-written out here. Some results also depend on versions of SciPy; the formulas of the version that made the official
+The float32 result of a matrix product depends on whether the BLAS library uses fused multiply-add instructions on the
+processor. HandoverSim's files were made with them in some products and without them in others, so both kinds are
+written out here. Some results also depend on the version of SciPy; the formulas of the version that made the official
 files are written out too. Quaternions are xyzw; Euler angles are intrinsic XYZ, R = Rx(x) Ry(y) Rz(z), in rad.
 """
 
@@ -31,7 +31,7 @@ _MIN_COSINE = 4.0 * sys.float_info.epsilon
 
 
 def fused_multiply_add(a: Float32, b: Float32, c: Float32) -> Float32:
-    """Return `a * b + c` of float32 with a single rounding, as the machine instruction does.
+    """Return `a * b + c` of float32 with a single rounding, like the processor's fused multiply-add instruction.
 
     The product of two float32 is exact in float64. Rounding the float64 sum to float32 would be wrong if the sum
     had been rounded to a value half-way between two float32. Therefore an inexact sum is rounded to odd: its last
@@ -49,23 +49,23 @@ def fused_multiply_add(a: Float32, b: Float32, c: Float32) -> Float32:
 
 
 def rotate_fused(matrix: Float32, columns: Float32) -> Float32:
-    """Return the products (n, 3, k) of `matrix` (3, 3) and `columns` (n, 3, k) with fused sums."""
+    """Return the products (n, 3, k) of `matrix` (3, 3) and `columns` (n, 3, k), summed by fused multiply-add."""
     rows = [matrix[:, k, None] for k in range(3)]
     parts = [columns[:, None, k, :] for k in range(3)]
     return fused_multiply_add(rows[2], parts[2], fused_multiply_add(rows[1], parts[1], rows[0] * parts[0]))
 
 
 def rotate_unfused(matrix: Float32, vector: Float32) -> Float32:
-    """Return the product (3,) of `matrix` (3, 3) and `vector` (3,), rounding every operation."""
+    """Return the product (3,) of `matrix` (3, 3) and `vector` (3,), rounded after every multiplication and addition."""
     products = matrix * vector
     total: Float32 = (products[:, 0] + products[:, 1]) + products[:, 2]
     return total
 
 
 def compute_norms(vectors: Float32) -> Float32:
-    """Return the lengths (n,) of vectors (n, 3), rounded as the library BLAS rounds them.
+    """Return the lengths (n,) of vectors (n, 3), rounded as by BLAS.
 
-    Squares are float32, their sum is float64 and is rounded to float32 before the root.
+    Squares are float32. Their sum is float64 and is rounded to float32 before the root is taken.
     """
     squares = (vectors * vectors).astype(np.float64)
     total = (squares[:, 0] + squares[:, 1]) + squares[:, 2]
@@ -75,8 +75,8 @@ def compute_norms(vectors: Float32) -> Float32:
 def matrices_from_rotation_vectors(vectors: Float32) -> Float64:
     """Return rotation matrices (n, 3, 3) of rotation vectors (n, 3) (rad) by Rodrigues' formula.
 
-    HandoverSim rounds the angle and the axis differently: the angle is a BLAS norm in float32, the
-    axis a float64 quotient by the root of a plain float32 sum.
+    As in HandoverSim, angle and axis are rounded differently. The angle is the float32 length from `compute_norms`. The
+    axis is divided, in float64, by the float64 root of the float32 sum of squares.
     """
     angles = compute_norms(vectors).astype(np.float64)
     cosine, sine = _map_libm(math.cos, angles), _map_libm(math.sin, angles)

@@ -185,7 +185,7 @@ def compute_hand_trajectory(poses: Float32, tag: TagFrame, model: ManoModel, wri
     A row is base position (m), unwrapped base angles and finger angles (rad, intrinsic XYZ); zero without a hand. The
     keyframes `poses` (F, 51) float32 are in DexYCB's world frame: rotation vector (rad), 45 coefficients of the finger
     pose, translation (m); rows without a hand are zero, and only at start and end. `wrist` (3,) is the wrist joint (m)
-    of `model` at rest for the hand's shape in this recording, `base` (3,) that for the shape of the subject's URDF.
+    of `model` at rest, with the hand shape of this recording; `base` (3,) is the same with that of the subject's URDF.
     """
     present = np.flatnonzero(poses.any(axis=1))
     span = KeyframeSpan(int(present[0]), int(present[-1]))

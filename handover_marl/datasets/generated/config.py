@@ -17,8 +17,8 @@ from handover_marl.execution.files import shorten_text
 #: First word of the name of generated data sets.
 GENERATED: Final = "generated"
 DEFAULT, HARD = "default", "hard"
-#: Families of scenes. "default" continues the synthetic scenes; "hard" has long, rotating motions,
-#: objects of its own, offers at the edge of the robot's reach and cluttered tables.
+#: Families of scenes. "default" has motions as in the synthetic scenes; "hard" has long motions with rotation,
+#: procedural objects of its own, handover positions at the edge of the robot's reach and more objects on the table.
 FAMILIES: Final = (DEFAULT, HARD)
 #: Kinds of procedural objects.
 OBJECT_KINDS: Final = ("boxes", "cylinders", "bottles", "tools", "superquadrics")
@@ -51,7 +51,7 @@ class GeneratedConfig:
         family: Family of scenes, one of `FAMILIES`.
         procedural: Share (0 to 1) of scenes whose handed-over object is procedural; in the others it is one
             of 18 shipped objects.
-        objects: Number of procedural objects from which scenes are drawn.
+        objects: Number of procedural objects from which those in scenes are drawn.
         people: Number of people that hand over procedural objects; the shipped objects are handed over by
             the ten people of the synthetic scenes.
         left: Share (0 to 1) of scenes in which the giver uses the left hand.
@@ -102,14 +102,14 @@ class GeneratedConfig:
         return ",".join(f"{name}={value}" for name, value in vars(self).items() if value != usual[name])
 
 
-#: Configuration of each family unless something else is given.
+#: Default configuration of each family.
 FAMILY_DEFAULTS: Final[Mapping[str, GeneratedConfig]] = MappingProxyType(
     {DEFAULT: GeneratedConfig(), HARD: GeneratedConfig(family=HARD, procedural=1.0, clutter_min=4, clutter_max=4)}
 )
 
 
 def parse_generated_config(argument: str) -> GeneratedConfig:
-    """Parse text such as "n=100,family=hard" over the family's defaults; raise `OptionError` or `UnknownNameError`."""
+    """Parse text such as "n=100,family=hard", add the family's defaults; raise `OptionError` or `UnknownNameError`."""
     values: dict[str, Any] = {}
     defaults = vars(GeneratedConfig())
     for entry in argument.split(","):
@@ -138,7 +138,7 @@ def make_seed(config: GeneratedConfig, kind: ItemKind, number: int, attempt: int
 
 
 def find_splits(numbers: npt.ArrayLike, of_objects: bool = False) -> npt.NDArray[np.int64]:
-    """Return the splits of scenes (or objects) with numbers (n,), as indices into `SPLITS`, by a hash of the number."""
+    """Return the splits (n,), as indices into `SPLITS`, of scenes (or objects) with numbers (n,), by a hash of each."""
     words = np.asarray(numbers, dtype=np.uint64) + np.uint64(_OBJECT_OFFSET if of_objects else 0)
     # SplitMix64 (Steele, Lea and Flood, 2014).
     with np.errstate(over="ignore"):
@@ -150,5 +150,5 @@ def find_splits(numbers: npt.ArrayLike, of_objects: bool = False) -> npt.NDArray
 
 
 def list_split(split: str, count: int, of_objects: bool = False) -> npt.NDArray[np.int64]:
-    """Return the numbers from 0 to `count` - 1 of the scenes, or of the objects, in a split, in ascending order."""
+    """Return those numbers from 0 to `count` - 1, ascending, whose scenes (or objects) are in a split."""
     return np.flatnonzero(find_splits(np.arange(count), of_objects) == SPLITS.index(split))

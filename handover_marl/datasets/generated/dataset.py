@@ -58,15 +58,15 @@ GRASPABLE_CLASSES: Final = tuple(
     number for number in SCENE_CLASSES if CLASS_NAMES[number] not in CLASSES_WITHOUT_GRASPS
 )
 _MAX_ATTEMPTS = 50
-# Surface points from which the robot grasps are tried that the person leaves free, and their largest and smallest
-# number; with fewer grasps the share is not estimated.
+# For the estimated share of robot grasps that the person leaves free: number of surface points from which robot grasps
+# are tried, and largest and smallest number of these grasps; with fewer, the share is not estimated.
 _N_SKETCH_POINTS, _N_SKETCH_GRASPS, _MIN_SKETCH_GRASPS = 160, 32, 5
 # Version of the files, part of the hash of their content.
 _FORMAT = 1
 
 
 class GeneratedDataset(HandoverGenerator):
-    """Data set of generated scenes, each a pure function of its number and of all of `config` but `n`; has no folder.
+    """Data set of generated scenes, without a folder; a scene depends on its number and on all of `config` but `n`.
 
     Args:
         config: Configuration, or its text such as "n=100000,seed=7,family=hard".

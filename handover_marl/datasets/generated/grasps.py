@@ -36,7 +36,7 @@ Array = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 Flags = npt.NDArray[np.bool_]
 
-# Digits and spheres that touch the object in most of the hands that are not free.
+# Spheres that suffice to detect most colliding hands: number of the digit and of the sphere on it.
 _PROBED_SPHERES: Final = (np.array([4, 0, 0, 4, 4, 0]), np.array([4, 3, 7, 8, 1, 1]))
 
 
@@ -48,8 +48,8 @@ _MAX_WIDTH, _SPARE_WIDTH = 0.1, (0.003, 0.045)
 _FOREARM_CLEARANCE, _TABLE_CLEARANCE = 0.002, 0.02
 # Largest distance of a digit in contact (m).
 _TOUCH_DISTANCE = 0.003
-# Number of steps in which end joints close on after a root joint has stopped, and step of closing at which a digit that
-# misses the object stays.
+# Number of steps of further closing of end joints after a phalanx has touched, and step of closing in which a digit
+# stays that misses the object.
 _N_DISTAL_STEPS, _RELAXED_STEP = 10, 5
 
 
@@ -66,9 +66,9 @@ def draw_human_grasps(
 ) -> HumanGrasps | None:
     """Draw grasps of an object by one human hand, sorted by wrist distance; None if none is found.
 
-    The open hand is clear of the table in at least one resting pose: with one of the object's axes +x, -x, +y, -y, +z,
-    -z up that has a positive weight in `up_axes`. In each of up to `n_rounds` rounds, grasps are tried from `n_pairs`
-    surface points, and the fingers of up to `n_closed` hands are closed, until at least `n_grasps` grasps are found.
+    The open hand is clear of the table in at least one resting pose of the object. In a resting pose, an axis (+x, -x,
+    +y, -y, +z, -z) with positive weight in `up_axes` points up. A round tries grasps at `n_pairs` surface points and
+    closes the fingers of up to `n_closed` hands. Rounds end after `n_rounds`, or once `n_grasps` grasps are found.
     """
     templates = make_hand_templates(size)
     target = solid.mirror() if side == "left" else solid
@@ -98,11 +98,11 @@ def draw_human_grasps(
 
 @dataclass(frozen=True, eq=False)
 class ClosedHands(ArrayBatch):
-    """Human hands, n in number, whose fingers are closed on an object.
+    """Batch of n human hands whose fingers are closed on an object.
 
     Attributes:
         posture: n postures.
-        gaps: (n, 5, 9) distances of the phalanges' spheres from the object, negative inside of it (m).
+        gaps: (n, 5, 9) distances between the phalanges' spheres and the object (m), negative on overlap.
         centers: (n, 5, 9, 3) centers of the spheres in the object's frame (m).
     """
 
@@ -145,7 +145,7 @@ def _find_lowest_points(templates: HandTemplates, palms: Palms, rows: Ints, dire
 
 
 def find_free_hands(solid: Solid, templates: HandTemplates, palms: Palms, rows: Ints) -> Ints:
-    """Return the indices of the hands, in open postures `rows` (n,) of `templates`, that are clear of the object."""
+    """Return the indices of the hands that are clear of the object; `rows` (n,) are their postures in `templates`."""
     # A few spheres of thumb and index finger reject five of six hands.
     digits, spheres = _PROBED_SPHERES
     points = palms.transform(templates.path[rows[:, None], 0, digits, spheres])
@@ -163,7 +163,7 @@ def find_free_hands(solid: Solid, templates: HandTemplates, palms: Palms, rows: 
 
 
 def compute_palm_distances(solid: Solid, palms: Palms, centers: Array, radii: Array) -> Array:
-    """Return smallest distances (n,) (m) of an object from spheres (`centers` (k, 3), `radii` (k,)) on n palms."""
+    """Return the smallest distances (n,) in m between an object and k spheres in the frame of each of n palms."""
     points = palms.transform(np.broadcast_to(centers, (len(palms), *centers.shape)))
     return np.asarray((solid.compute_distances(points) - radii).min(axis=1))
 
@@ -263,9 +263,9 @@ def _encode_grasps(templates: HandTemplates, palms: Palms, rows: Ints, closed: C
 
 
 def sort_by_farthest_point(grasps: Array) -> Array:
-    """Return grasps (k, 4, 4), where k may be 0, in an order in which each is farthest from all before it.
+    """Sort grasps (k, 4, 4) so that each is the one farthest from all before it; k may be 0.
 
-    Distances are Euclidean, in vectors of the point between the fingers (m) and the closing and approach axes (5 cm).
+    Distances are Euclidean in (p, 0.05 a, 0.05 c c^T): the fingers' midpoint p (m), approach axis a, closing axis c.
     """
     if not len(grasps):
         return grasps
@@ -279,8 +279,8 @@ def sort_by_farthest_point(grasps: Array) -> Array:
 _PALM_MIDDLE = slice(60, 63)
 # Largest distance of the finger contacts (m); the Panda opens to 0.08.
 _MAX_OPENING = 0.074
-# Standard deviation of the components by which the closing direction deviates from the surface normal, and largest
-# angle between it and the surface normals (rad).
+# Standard deviation of each component of the closing direction's random deviation from the surface normal (rad), and
+# largest angle between closing direction and surface normal (rad).
 _CLOSING_TILT, _MAX_CONE_ANGLE = 0.08, 0.26
 # Distance of the contacts from the gripper's origin along its approach (m). The finger pads end at 0.112, the palm at
 # 0.066.
@@ -308,10 +308,10 @@ def _make_gripper_points() -> Array:
 def draw_robot_grasps(
     random: RandomStream, solid: Solid, n_points: int = 1500, n_grasps: int = 60, is_varied: bool = True
 ) -> Array:
-    """Draw gripper poses (n, 4, 4) in the object's frame (m) that are likely to hold it, not tried in simulation.
+    """Draw gripper poses (n, 4, 4) in the object's frame (m) that probably hold the object; no simulation is run.
 
-    Grasps are tried from `n_points` points of the surface, and up to `n_grasps` are chosen; if `is_varied`, they are
-    far from each other. Poses are rounded to float32; n can be 0.
+    Grasps are tried from `n_points` points of the surface, and up to `n_grasps` are chosen; if `is_varied`, those that
+    are far from each other. Poses are rounded to float32; n can be 0.
     """
     first, second, cosines = solid.sample_antipodal_points(random, n_points, _MAX_OPENING, _CLOSING_TILT)
     noise, draws = random.normals(n_points, 3), random.uniforms(n_points, 2)

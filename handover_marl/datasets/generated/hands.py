@@ -31,10 +31,10 @@ Spheres = tuple[Array, Array]
 
 #: Index of the thumb among the digits.
 THUMB: Final = 4
-#: Number of steps of the free closing, and flexion in each step of the root, middle and end joint (rad).
+#: Number of steps in which an empty hand closes, and flexion (5, 3) in each step: root, middle and end joint (rad).
 N_STEPS: Final = 20
 STEP_ANGLES: Final = np.radians(5.0) * np.array([[1.0, 1.0, 0.55]] * 4 + [[0.6, 0.7, 0.9]])
-#: Limits of the joints (rad), as `STEP_ANGLES` for the five digits.
+#: Largest flexion (5, 3) of the same joints of the five digits (rad).
 LIMITS: Final = np.radians([[85.0, 100.0, 65.0]] * 4 + [[45.0, 55.0, 70.0]])
 
 # Positions of the spheres of a phalanx between its joint and its end.
@@ -104,7 +104,7 @@ class Palms(ArrayBatch):
     rotation: Array
 
     def transform(self, points: npt.NDArray[np.floating]) -> Array:
-        """Transform points (n, ..., 3) of the n palms from each palm's frame to the object's frame (m)."""
+        """Transform points (n, ..., 3) in m, given in the frame of each of the n palms, to the object's frame."""
         count = math.prod(points.shape[1:-1])  # -1 is not allowed where there are no palms
         flat = points.reshape(len(points), count, 3) @ self.rotation.swapaxes(1, 2) + self.position[:, None]
         return np.asarray(flat.reshape(points.shape))
@@ -167,7 +167,7 @@ def _list_palm_capsules(hand: HandGeometry) -> list[Capsule]:
 def place_digits(model: HandGeometry, posture: Posture, bends: Array) -> Array:
     """Return the centers (n, s, 5, 9, 3) of the digits' spheres in the palm's frame (m), three per phalanx.
 
-    Each of n postures has s flexions `bends` (n, s, 5, 3) (rad) instead of the flexion in `posture`.
+    Each of the n postures is used with s flexions, `bends` (n, s, 5, 3) in rad, in place of its own.
     """
     n, count = bends.shape[:2]
     bent = replace(posture[np.repeat(np.arange(n), count)], bends=bends.reshape(-1, 5, 3))
@@ -273,7 +273,7 @@ class HandTemplates:
 
 @lru_cache(maxsize=64)
 def make_hand_templates(size: HandSize, count: int = _N_TEMPLATES) -> HandTemplates:
-    """Return up to `count` open postures of a right hand of a size, and the paths of its closing fingers; cached."""
+    """Return up to `count` open postures of a right hand of this size, and the paths of its closing fingers; cached."""
     model = scale_hand(size, "right")
     openings = _measure_openings(model, _sample_openings(count).posture)
     openings = openings[np.argsort(openings.width, kind="stable")]

@@ -54,7 +54,7 @@ _DURATION = 8.0
 _REACH, _MIN_HEIGHT = (0.70, 0.82), 0.12
 #: Largest speed of the object's origin (m/s).
 MAX_SPEED = 0.30
-# Largest angle between the robot's forward direction and the handover position, and its elevation from the shoulder.
+# Largest azimuth of the handover position from the robot's forward direction, and range of its elevation.
 _MAX_AZIMUTH, _ELEVATION = 0.6, (-0.25, 0.25)  # rad
 # Smallest and largest number of waypoints of the curve.
 _N_WAYPOINTS = (3, 6)
@@ -126,7 +126,7 @@ def draw_motion(seed: Seed, placement: ObjectPlacement, giver: SimulatedGiver) -
 
 
 def minimum_jerk(time: npt.ArrayLike) -> Array:
-    """Return the progress, 0 to 1, of a minimum-jerk motion at `time`, fractions of its duration, clipped to [0, 1]."""
+    """Return the progress, 0 to 1, of a minimum-jerk motion at times in units of its duration, clipped to [0, 1]."""
     t = np.clip(np.asarray(time, dtype=np.float64), 0.0, 1.0)
     return t * t * t * (10.0 + t * (6.0 * t - 15.0))
 
@@ -310,9 +310,9 @@ def draw_far_positions(random: RandomStream) -> tuple[Array, Array]:
 def add_post_arrival_motion(
     random: RandomStream, motion: KeyframeMotion, giver: SimulatedGiver, grasp: int
 ) -> KeyframeMotion:
-    """Continue a motion to 8 s: hand and object, in the grasp with index `grasp`, move along a smooth curve, then rest.
+    """Continue a motion to 8 s: the hand with the object moves along a smooth curve and rests for the last 0.2 s.
 
-    The set t0 of GenH2R (Wang et al., CVPR 2024) has such motions.
+    `grasp` is the index of the grasp. The set t0 of GenH2R (Wang et al., CVPR 2024) has such motions.
     """
     count = round(_DURATION / KEYFRAME_PERIOD) + 1 - len(motion.fingers)
     offsets, vectors = _draw_curve(random, count)
@@ -390,8 +390,8 @@ def compute_swept_points(motion: KeyframeMotion, giver: SimulatedGiver) -> Array
 def compute_trajectories(motion: KeyframeMotion, clutter: Sequence[ClutterObject]) -> tuple[Float32, Float32, int]:
     """Interpolate keyframes in the table's frame to a scene's motion at 1 kHz in the world frame, as in `Scene`.
 
-    Returns the motions of the objects (T, n, 6), the handed-over one before the resting `clutter`, and of the hand
-    (T, 51), and the first frame with the hand.
+    Returns the motion of the objects (T, n, 6), first the handed-over one and then the resting `clutter`; the motion of
+    the hand (T, 51); and the first frame with the hand.
     """
     n, first = len(motion.object_position), motion.hand_first
     key_times = np.arange(n, dtype=np.float64) * KEYFRAME_PERIOD
@@ -413,10 +413,10 @@ def compute_trajectories(motion: KeyframeMotion, clutter: Sequence[ClutterObject
 
 
 def resample_poses(key_times: Array, positions: Array, rotations: Rotation, times: Array) -> Float32:
-    """Interpolate poses of n keyframes at `key_times` (n,), in s, at other times (T,).
+    """Interpolate the poses of n keyframes, which are at `key_times` (n,), at `times` (T,), all in s.
 
-    Returns positions (m) and unwrapped intrinsic XYZ Euler angles (rad), (T, 6); outside of the keyframes, poses are
-    constant.
+    Returns positions (m) and unwrapped intrinsic XYZ Euler angles (rad), (T, 6). Before the first and after the last
+    keyframe, poses are constant.
     """
     points = CubicSpline(key_times, positions)(np.clip(times, key_times[0], key_times[-1]))
     angles = np.unwrap(_resample_angles(key_times, rotations, times), axis=0)

@@ -62,8 +62,8 @@ _REACH_DIRECTION = np.array([0.0, -0.94, -0.34])
 _REACH_COSINE_LIMITS = (np.cos(np.radians(75.0)), np.cos(np.radians(100.0)), -1.0)
 # Smallest distance (m) between points of the gripper and of the hand, which are each about 1 cm inside of the surface.
 _GRIPPER_CLEARANCE = 0.02
-# Smallest distance (m) of clutter to the joints of the hand, which is about 2 cm thick, and to the corners of the
-# handed-over object; range (m) of its centers in the table's frame.
+# Smallest distance (m) of the other objects from the corners of the handed-over object and from the joints of the hand,
+# which is about 2 cm thick; ranges (m) of the other objects' centers in the table's frame.
 _CLUTTER_CLEARANCE = 0.025
 _CLUTTER_X, _CLUTTER_Y = (0.15, 0.95), (0.02, 0.55)
 _MAX_CLUTTER_TRIES = 200
@@ -103,7 +103,7 @@ class SimulatedGiver:
         hand: Geometry of the person's hand.
         hand_urdf: URDF file of the person's hand.
         corners: (n, 3) corners of the object's hull (m).
-        up_axes: Weights of the object's axes that point up on the table: +x, -x, +y, -y, +z, -z.
+        up_axes: Weights by which the object's axis that points up on the table is drawn: +x, -x, +y, -y, +z, -z.
         wrist_distances: Quantiles (m) of the wrist's distance from the object, at the levels
             `handover_marl.assets.hand_model.LEVELS`.
         grasps: The person's g grasps of the object.
@@ -122,7 +122,7 @@ class SimulatedGiver:
 
     @cached_property
     def object_from_hand(self) -> Array:
-        """Rotations (g, 3, 3) of the person's hand's base in the object's frame, in the g human grasps."""
+        """Rotations (g, 3, 3) of the base of the person's hand in the object's frame, one for each human grasp."""
         return matrices_from_euler(self.grasps.compute_hand_dof()[:, 3:6])
 
     @cached_property
@@ -132,7 +132,7 @@ class SimulatedGiver:
 
     @cached_property
     def gripper_points(self) -> Array | None:
-        """Points (n, p, 3) of the gripper at n robot grasps and on the way to them, in the object's frame (m)."""
+        """Gripper points (n, p, 3) at and shortly before n robot grasps, object's frame (m); None without grasps."""
         if self.robot_grasps is None:
             return None
         return np.asarray(transform_points(self.robot_grasps[:, None], _make_gripper_points()))
@@ -153,7 +153,7 @@ def draw_calibrated_positions(random: RandomStream) -> tuple[Array, Array]:
 
 
 def draw_placement(random: RandomStream, giver: SimulatedGiver, draw_positions: DrawPositions) -> ObjectPlacement:
-    """Draw start pose, human grasp and handover pose of a scene's object, at positions that `draw_positions` draws."""
+    """Draw an object's start pose, human grasp and handover pose; `draw_positions` draws the positions of the poses."""
     start_position, handover_position = draw_positions(random)
     distance = float(np.interp(random.uniform(), LEVELS, giver.wrist_distances))
     tilt = np.radians(random.draw_quantile("tilt"))
@@ -295,7 +295,7 @@ def _make_gripper_points() -> Array:
 
 
 def hand_poses_from_grasps(transforms: Array) -> Array:
-    """Return poses (n, 7), xyz and xyzw, of the Panda's hand link for HandoverSim's gripper poses (n, 4, 4) in m."""
+    """Convert HandoverSim's gripper poses (n, 4, 4) (m) to poses (n, 7) of the Panda's hand link: xyz (m), xyzw."""
     return np.asarray(compose(poses_from_matrices(transforms), np.array(GRIPPER_FROM_HAND)))
 
 
@@ -332,7 +332,7 @@ def draw_clutter(
     """Draw the objects on the table that are not handed over in a scene, all of different classes.
 
     All numbers of objects in `counts` are equally likely; fewer are placed if there is no space. `draw_item` draws a
-    candidate. Objects keep clear of each other and of the `occupied` points (3, n) of the hand and the handed-over
+    candidate. Objects keep clear of each other and of `occupied` (3, n): points of the hand and of the handed-over
     object in the table's frame (m).
     """
     count = counts[random.integer(len(counts))]

@@ -23,12 +23,12 @@ _STATISTICS = json.loads((files(__package__) / "dexycb_statistics.json").read_te
 _LEVELS = np.array(_STATISTICS["levels"])
 _QUANTILES = {name: np.array(table["values"]) for name, table in _STATISTICS["quantiles"].items()}
 
-#: Rank correlations of quantities of the tables.
+#: Rank correlations between two quantities of the tables, for `draw_correlated_quantiles`.
 START_HANDOVER_X, START_HANDOVER_Y, ELEVATION_ROLL = (
     float(_STATISTICS["rank_correlations"][name]) for name in ("start_handover_x", "start_handover_y", "elevation_roll")
 )
 
-#: Number of recordings by their length in frames.
+#: Number of recordings by their length in frames of 40 ms.
 FRAME_COUNTS: MappingProxyType[int, int] = MappingProxyType(
     {int(length): count for length, count in _STATISTICS["recordings_by_length"].items()}
 )
@@ -38,15 +38,15 @@ UP_AXES: MappingProxyType[int, tuple[int, ...]] = MappingProxyType(
     {int(number): tuple(counts) for number, counts in _STATISTICS["recordings_by_class_and_up_axis"].items()}
 )
 
-#: Position x (m) of the plane that mirrors left-handed to right-handed givers.
+#: Position x (m) of the plane at which left-handed givers are mirrored to right-handed ones.
 MIRROR_X: float = _STATISTICS["mirror_x"]
 
-#: Numbers of at least 0 that identify a scene.
+#: Integers of at least 0 that identify a scene, an object or a person.
 Seed = tuple[int, ...]
 #: Version of the scene generator, part of every seed. It changes whenever the scenes do.
 VERSION = 1
 
-#: Purposes of the random numbers of a scene. The index is part of the seed, so new ones are added at the end.
+#: Purposes of random numbers. A purpose's index is part of the seed, so new purposes are added at the end.
 PURPOSES: Final = (
     *("side", "placement", "timing", "motion", "clutter"),
     *("person", "object", "human grasps", "robot grasps", "post-arrival motion"),
@@ -69,7 +69,7 @@ class RandomStream:
         return low + (high - low) * fraction
 
     def uniforms(self, *shape: int) -> npt.NDArray[np.float64]:
-        """Draw an array of the given shape, with the numbers from (0, 1) that single draws would give in this order."""
+        """Draw an array of the given shape; its entries, in C order, are those of repeated calls of `uniform()`."""
         words = self._bits.random_raw(math.prod(shape))
         return np.asarray(((words >> np.uint64(11)) + 0.5) * 2.0**-53).reshape(shape)
 
@@ -86,7 +86,7 @@ class RandomStream:
         return min(int(self.uniform() * n), n - 1)
 
     def weighted_index(self, weights: Sequence[float]) -> int:
-        """Draw an index of `weights` with a probability proportional to the weight there."""
+        """Draw an index into `weights`, with probabilities proportional to the weights."""
         total, threshold = 0.0, self.uniform(0.0, float(sum(weights)))
         for index, weight in enumerate(weights):
             total += weight
@@ -107,11 +107,11 @@ class RandomStream:
         return order
 
     def draw_quantile(self, name: str) -> float:
-        """Draw a number from the distribution of the quantile table `name` of DexYCB."""
+        """Draw a number from DexYCB's distribution of a quantity, given by its quantile table `name`."""
         return float(np.interp(self.uniform(), _LEVELS, _QUANTILES[name]))
 
     def draw_correlated_quantiles(self, first: str, second: str, correlation: float) -> list[float]:
-        """Draw a number from each of two named quantile tables of DexYCB, correlated (-1 to 1) by a Gaussian copula."""
+        """Draw one number from each of two quantile tables, with a `correlation` (-1 to 1) by a Gaussian copula."""
         one, other = self.normal(), self.normal()
         correlated = correlation * one + np.sqrt(1.0 - correlation**2) * other
         levels = zip((first, second), (float(ndtr(one)), float(ndtr(correlated))), strict=True)
@@ -119,5 +119,5 @@ class RandomStream:
 
 
 def open_stream(seed: Seed, purpose: str) -> RandomStream:
-    """Return the random stream for one of `PURPOSES` of the scene, object or person that the seed identifies."""
+    """Return the random stream for a purpose, one of `PURPOSES`, and the scene, object or person of a seed."""
     return RandomStream(*seed, PURPOSES.index(purpose))

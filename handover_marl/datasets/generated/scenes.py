@@ -63,10 +63,10 @@ def generate_handover(
     draw_positions: DrawPositions = draw_calibrated_positions,
     extend_motion: Callable[[KeyframeMotion, int], KeyframeMotion] | None = None,
 ) -> GeneratedHandover:
-    """Generate the handover of a person: poses, motion, and other objects, whose number is one of `clutter_counts`.
+    """Generate the handover by a person: poses, motion, and other objects, whose number is drawn from `clutter_counts`.
 
-    `draw_item` draws another object, `draw_positions` the handed-over object's positions at start and handover;
-    `extend_motion` continues a motion after the arrival, given the index of the grasp.
+    `draw_item` draws one of the other objects, `draw_positions` the handed-over object's positions at start and
+    handover. `extend_motion` continues a motion after the arrival, given this motion and the index of the grasp.
     """
     placement = draw_placement(open_stream(seed, "placement"), giver, draw_positions)
     motion = draw_motion(seed, placement, giver)

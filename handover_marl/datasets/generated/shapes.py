@@ -1,9 +1,9 @@
 """Procedural objects of random sizes, and objects as unions of convex polyhedra, also read from model files.
 
-Lengths are in meters. The surface of a part of a procedural object is a stack of rings: convex outlines with parallel
-edges, so that the quadrilaterals between two rings are planar and the part is their convex hull. The origin of a
-procedural object is the center of its bounding box. Every procedural object has a place that the Panda's gripper, which
-opens to 80 mm, can span.
+Lengths are in meters. The surface of each part of a procedural object is a stack of rings. Rings are convex outlines
+with parallel edges: the quadrilaterals between two rings are planar, and a part is the convex hull of its rings. The
+origin of a procedural object is the center of its bounding box. Every procedural object has a place that the Panda's
+gripper, which opens to 80 mm, can span.
 """
 
 from collections.abc import Iterable
@@ -160,7 +160,7 @@ class Solid:
         self._firsts = np.cumsum([0, *(len(part.offsets) for part in self.parts[:-1])])
 
     def mirror(self) -> "Solid":
-        """Return a copy mirrored in x, which a right hand grasps as a left hand grasps the solid."""
+        """Return a copy mirrored in x; a right hand grasps the copy as a left hand grasps this solid."""
         flip = np.array([-1.0, 1.0, 1.0])
         return Solid(
             ConvexSurface(part.vertices * flip, part.faces[:, ::-1], part.normals * flip, part.offsets)
@@ -302,7 +302,7 @@ class ProceduralObject:
     Attributes:
         kind: One of `OBJECT_KINDS`.
         parts: Parts in the object's frame.
-        up_axes: Weights of the axes that point up on a table: +x, -x, +y, -y, +z, -z.
+        up_axes: Weights by which the axis that points up on a table is drawn: +x, -x, +y, -y, +z, -z.
     """
 
     kind: str
