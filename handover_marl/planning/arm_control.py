@@ -1,4 +1,4 @@
-"""Kinematics of an arm in the world frame, and joint velocity commands for its position motors."""
+"""Kinematics of an arm in the world frame, and position targets with which its motors follow joint velocities."""
 
 import math
 from dataclasses import dataclass
@@ -72,9 +72,9 @@ class ArmInWorld:
         return np.concatenate([rotation @ local[:3], rotation @ local[3:]])
 
     def compute_point_jacobian(self, joints: Array, point: Array, link: int) -> Array:
-        """Return the Jacobian (3, 7) in the world frame of a point (3,) in m in the world, at joints (7,) in rad.
+        """Return the world-frame Jacobian (3, 7) of a world point (3,) in m on a link, at joints (7,) in rad.
 
-        The point is on the arm's link number `link`: 0 to 6, or 7 for the hand link.
+        `link` is the number of the link on which the point is fixed: 0 to 6, or 7 for the hand link.
         """
         chain = self.arm.compute_chain_frames(joints[None])
         rotation = self._world_from_base_rotation
@@ -99,11 +99,11 @@ class ArmInWorld:
     def compute_joint_velocity(
         self, joints: Array, linear: Array, angular: Array, rotation_weight: float, period: float
     ) -> Array:
-        """Return joint velocities (7,) in rad/s at joints (7,) in rad that best give the hand link a world velocity.
+        """Return joint velocities (7,) in rad/s, at joints (7,) in rad, that best give the hand link a wanted velocity.
 
-        The wanted velocity is `linear` (3,) in m/s and `angular` (3,) in rad/s. Damped least squares minimize its
-        error, in which `rotation_weight` (m/rad) weights the angular part. A joint that would exceed its limit within
-        the control `period` (s) is not moved.
+        The wanted velocity in the world is `linear` (3,) in m/s and `angular` (3,) in rad/s. Its error is minimized by
+        damped least squares; `rotation_weight` (m/rad) is the weight of the angular error. A joint that would exceed
+        its limit within the control `period` (s) is not moved.
         """
         weights = np.array([1.0, 1.0, 1.0, rotation_weight, rotation_weight, rotation_weight])
         rows = weights[:, None] * self.compute_jacobian(joints)
@@ -169,7 +169,7 @@ class ArmServo:
         self.velocity = np.zeros(len(self.config.max_joint_speeds))
 
     def compute_goal_velocity(self, joints: Array, goal: Array) -> Array:
-        """Return joint velocities (7,) in rad/s from joints towards a goal, (7,) in rad, slowing down to stop there."""
+        """Return joint velocities (7,) in rad/s from joints towards a goal, (7,) in rad, low enough to stop there."""
         error = goal - joints
         # Speeds change once in a period, so braking starts half a period early.
         half = 0.5 * self.config.deceleration * self.period
@@ -188,8 +188,8 @@ class ArmServo:
     def limit_acceleration(self, velocity: Array, acceleration: float | None = None) -> Array:
         """Clip wanted joint velocities (..., 7) in rad/s to velocities that can be reached in one period.
 
-        The result differs from the last command by at most the period times `acceleration` (rad/s^2; None: as
-        configured).
+        The result differs from the last command by at most the period times `acceleration` (rad/s^2), by default
+        `max_acceleration`.
         """
         # Each joint is clipped on its own: with one common factor, a joint that reverses would make
         # the other joints overshoot.

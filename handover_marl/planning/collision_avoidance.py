@@ -98,7 +98,7 @@ def enforce_separation(
 
     The velocity damper of this module limits how fast the robot approaches each body. If not all limits can be kept,
     the last body has priority. The robot moves away from a body whose clearance is below the minimum. With `leaving`,
-    which is meant for the withdrawal from a person's hand, it is enough that the robot does not come closer.
+    for the withdrawal from a person's hand, it is enough that the robot does not come closer to such a body.
     """
     hand, dampers = arm.compute_hand_pose(joints), []
     for body in bodies:
@@ -127,10 +127,10 @@ def select_safe_velocity(
 ) -> Array:
     """Return the first of several joint velocities (7,) that keeps all clearances at the end of the lookahead.
 
-    A clearance must be at least its minimum, or its present value if this is smaller, less `config.slack`. If no
-    candidate satisfies this, the one with the smallest violation is returned. The `candidates` (n, 7) in rad/s are
-    ordered by preference; row i of `reachable` (n, 7) is the velocity that the motors can reach for row i of
-    `candidates`. The arm is at `joints` (7,) in rad, and the table's surface at `table_height`, world z in m.
+    Each clearance must be at least the smaller of its minimum and its present value, minus `config.slack`. If all
+    candidates violate this, the one with the smallest violation is returned. The `candidates` (n, 7) in rad/s are
+    ordered by preference. Clearances are predicted with `reachable` (n, 7): the velocity that the motors can reach for
+    each candidate. The arm is at `joints` (7,) in rad, the table's surface at `table_height`, world z in m.
     """
     line = np.concatenate([joints[None], joints + config.lookahead * reachable])
     hands, heights = arm.compute_hand_poses(line), compute_lowest_heights(arm, line) - table_height

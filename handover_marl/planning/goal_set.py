@@ -48,7 +48,7 @@ _MAX_APPROACH_NORM = 2.0
 # Maximum rotation of the hand from its start (rad), minimum z component of the hand's x axis in the base frame, and
 # number of points on the straight joint path to the grasp at which both are checked.
 _MAX_ROTATION, _MIN_HAND_X_Z, _N_PATH_CHECKS = np.radians(120.0), -0.3, 5
-#: Distance from an object below which a point of the robot counts as colliding (m).
+#: A point of the robot collides with an object if their distance is less than this (m).
 COLLISION_DISTANCE = 0.01
 # Maximum number of colliding pairs of robot point and object at a standoff.
 _MAX_COLLISIONS = 5
@@ -67,7 +67,7 @@ MIN_HAND_CLEARANCE = 0.02
 
 
 def is_usable_grasp(object_name: str, grasps: Array) -> npt.NDArray[np.bool_]:
-    """Return a mask (n,) of the grasps, hand link poses (n, 7; xyzw) in the object's frame, that OMG uses.
+    """Return a mask (n,) of the grasps that OMG uses; grasps are hand link poses (n, 7; xyzw) in the object's frame.
 
     Some grasps of scissors, bowl and mug (YCB class names) slip and are excluded.
     """
@@ -98,7 +98,7 @@ class GoalSet:
     Attributes:
         approaches: (g, t, 7) configurations on the approach from the standoff to the grasp (rad).
         grasps: (g,) index of each goal's grasp among the grasps that were given to the builder.
-        clearances: (g,) smallest clearance of gripper and person's hand on the way (m), inf where the hand is ignored.
+        clearances: (g,) smallest clearance of gripper and person's hand on each approach (m), inf without a hand.
     """
 
     approaches: Array
@@ -133,7 +133,7 @@ class GoalSetBuilder:
             the person's hand are computed.
         start: (7,) configuration at which motions start (rad).
         limits: Lower and upper joint limits with padding, (7,) each (rad).
-        unchecked_last: Whether the last five goals skip the collision check, an error in the authors' code.
+        unchecked_last: Whether the last five goals skip the collision check, as by an error in the authors' code.
     """
 
     def __init__(
@@ -259,8 +259,8 @@ class GoalSelector:
         goals: (g, 7) goal configurations (rad).
         goal_costs: (g,) cost of each goal in addition to the cost of the path to it.
         n_waypoints: Number of waypoints of a trajectory.
-        unchecked_last: Whether only the last goal's final approach is free of the cost of objects, instead of every
-            final approach: an error in the authors' code.
+        unchecked_last: Whether objects have no cost only in the last goal's approach, instead of in every approach, as
+            by an error in the authors' code.
     """
 
     def __init__(
@@ -278,7 +278,7 @@ class GoalSelector:
         return int(np.argmin(self._costs(trajectory, 0)))
 
     def select_next(self, trajectory: Array, round_number: int) -> int:
-        """Update the goals' weights by a trajectory (w, 7) in a round, from 1; return the selected goal's index."""
+        """Update the goals' weights for a trajectory (w, 7) in a round (from 1); return the selected goal's index."""
         costs = self._costs(trajectory, round_number)
         before = self._experts
         self._experts = np.stack(

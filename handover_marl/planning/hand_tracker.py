@@ -139,7 +139,7 @@ class HandTracker:
 
     @property
     def reference_points(self) -> Array:
-        """(k, 3) present world keypoints of the hand, for `predict_attached_pose` (m)."""
+        """Present keypoints (k, 3) of the hand in the world (m), for a later call of `predict_attached_pose`."""
         return self.points
 
     @property

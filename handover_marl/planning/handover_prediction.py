@@ -24,8 +24,8 @@ class HandoverPosePredictorConfig(CheckedConfig):
         + attraction * tanh(|v| / attraction_speed) * (mean_handover_position - p).
 
     The second term moves the prediction of a moving object towards the mean handover position; it is zero for an object
-    at rest. An object that was lifted and is near its position `held_still_time` ago counts as held still. Its velocity
-    is extrapolated for a shorter time, without the second term. The constants were fitted on recordings of s0 train.
+    at rest. An object counts as held still if it was lifted and is near where it was `held_still_time` ago. Then its
+    latest velocity is extrapolated for a shorter time, without the second term. The constants were fitted on s0 train.
 
     Attributes:
         velocity_horizon: Time for which the velocity is extrapolated (s).
@@ -36,10 +36,10 @@ class HandoverPosePredictorConfig(CheckedConfig):
         rotation_horizon: Time for which the angular velocity is extrapolated (s).
         smoothing_time: Time constant of the velocity filter (s).
         rest_speed: Speed below which an object counts as at rest (m/s).
-        held_still_radius: Maximum distance of an object that is held still from its position `held_still_time` ago (m).
-        held_still_time: Time between the two positions whose distance shows that an object is held still (s).
-        held_still_min_lift: Minimum distance of the object's position `held_still_time` ago from its first one (m).
-        held_still_horizon: Time for which the velocity of an object that is held still is extrapolated (s).
+        held_still_radius: Largest distance between a still object's positions now and `held_still_time` ago (m).
+        held_still_time: Time between the two positions by which an object counts as still (s).
+        held_still_min_lift: Smallest distance from a still object's first position to that `held_still_time` ago (m).
+        held_still_horizon: Time for which the latest velocities of a still object are extrapolated (s).
     """
 
     velocity_horizon: float = bounded(0.21, 0.0)
@@ -144,7 +144,7 @@ class HandoverPosePredictor:
     def predict_point_twist(self, point: Array, ahead: float) -> tuple[Array, Array]:
         """Predict the velocities, linear (3,) in m/s and angular (3,) in rad/s, of a world point (3,) on the object.
 
-        They are predicted for the middle of the coming control period, which lasts `ahead` (s).
+        Only the linear velocity is extrapolated, to the middle of the coming control period, which lasts `ahead` (s).
         """
         since = 0.5 * (self._step + ahead) if np.isfinite(self._step) else 0.0
         velocity = self.latest_velocity + since * self.acceleration

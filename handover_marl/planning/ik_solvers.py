@@ -66,11 +66,11 @@ def solve_ik(
     """Solve inverse kinematics of many hand poses in the base frame by Newton's method from joints `starts` (n, 7).
 
     Every iteration solves the linearized problem with the smallest joint motion and clamps the result to the joint
-    limits, (7,) each. Positions (n, 3) are in m; rotations (n, 3, 3) may be None if free. The tolerance is the maximum
-    error of each component of position (m) and rotation vector (rad), or two values for their norms. More damping (m^2)
-    takes shorter steps that stay nearer to the start. A search ends without solution after `iterations` steps, or where
-    a step is below `min_step`; steps above `max_step` are scaled down (rad). Returns configurations (n, 7) in rad, and
-    whether each one reaches its pose (n,).
+    limits, (7,) each. Positions (n, 3) are in m; rotations (n, 3, 3) are None if free. A tolerance is one bound on each
+    component of the position error (m) and of the rotation vector (rad) to the goal, or two bounds on their norms. With
+    more damping (m^2), steps are shorter and stay nearer to the start. A search fails after `iterations` steps, or if
+    no joint moves by `min_step` (rad); steps that move a joint by more than `max_step` (rad) are scaled down. Returns
+    configurations (n, 7) in rad, and whether each one reaches its pose (n,).
     """
     joints = np.clip(starts, *limits)
     solved = np.zeros(len(joints), dtype=bool)
@@ -108,7 +108,7 @@ def _is_within(error: Array, tolerance: float | tuple[float, float]) -> npt.NDAr
 
 
 def compute_pose_error(origins: Array, hand_rotations: Array, positions: Array, rotations: Array) -> Array:
-    """Return the differences (6, n) of wanted from present hand poses: translation (m), then rotation vector (rad).
+    """Return the errors (6, n) of present from wanted hand poses: missing translation (m) and rotation vector (rad).
 
     The present poses are `origins` (3, n) and `hand_rotations` (3, 3, n), as in `LinkFrames`; the wanted poses are
     `positions` (3, n) and `rotations` (n, 3, 3).
@@ -133,9 +133,9 @@ def _smallest_motion(jacobian: Array, error: Array, damping: float) -> Array:
 
 
 def make_ik_stepper(urdf: Path, config: PandaConfig) -> IkStepper:
-    """Create an IK solver of few iterations, which may not converge, for a Panda's model at the base pose of `config`.
+    """Create an IK solver for a Panda that makes only a few iterations, so that it may not converge.
 
-    The solver is PyBullet's where PyBullet is installed, else a `PandaIkSolver`.
+    `config` has the base pose. The solver is PyBullet's if PyBullet is installed, else a `PandaIkSolver`.
     """
     if not is_pybullet_installed():
         return PandaIkSolver(urdf, config)
@@ -158,12 +158,12 @@ _thread_solvers = _ThreadSolvers()
 
 
 class ThreadIkSolver(IkSolver):
-    """Inverse kinematics by a solver that all policies of a thread share, PyBullet's where PyBullet is installed.
+    """Inverse kinematics by a solver that all policies of a thread share; it is PyBullet's if PyBullet is installed.
 
     A solver of PyBullet takes 44 to 90 MB, depending on the model, and a process can have 1,024 of them at most.
     Solutions do not depend on earlier queries, so policies that share a solver get the same solutions as with one
-    each. Queries without solution are remembered: a search that does not converge takes a hundred times as long as
-    others, and a receiver whose arm does not move repeats it.
+    each. Queries without solution are remembered, since a search that does not converge takes a hundred times as long
+    as others, and a receiver whose arm does not move repeats its query.
     """
 
     def __init__(self, urdf: Path, config: PandaConfig) -> None:
@@ -207,8 +207,8 @@ class ThreadIkSolver(IkSolver):
 class PandaIkSolver(IkSolver):
     """Inverse kinematics of a Panda without PyBullet; the solutions differ slightly from PyBullet's.
 
-    Joint limits are ignored, as by `BulletIKSolver` and `BulletIKStep`. Solutions do not depend on
-    earlier queries, nor on other queries of a batch, to the last bit.
+    Joint limits are ignored, as by `BulletIKSolver` and `BulletIKStep`. A solution is the same bit for
+    bit after any earlier queries, and with any other queries in its batch.
 
     Args:
         urdf: Model of the Panda.

@@ -23,10 +23,10 @@ from handover_marl.planning.trajectory_cost import WAYPOINT_PERIOD, Obstacle, Ob
 
 Array = npt.NDArray[np.float64]
 
-#: Distance of a robot point from an object's surface below which it has a cost (m).
+#: Distance from an object's surface (m) up to which a point of the robot has a cost.
 OBJECT_PADDING = 0.2
-# The same for the person's hand (m), the cost of a goal per meter by which its clearance is below that distance, and
-# the cell size of the hand's distance field (m).
+# Distance from the person's hand (m) up to which a point of the robot has a cost, cost of a goal per meter by which its
+# clearance is below this distance, and cell size of the hand's distance field (m).
 _HAND_PADDING, _CLEARANCE_COST, _HAND_CELL = 0.1, 10.0, 0.01
 
 # Values of the authors unless stated otherwise.
@@ -57,13 +57,12 @@ class PlannerConfig:
     Attributes:
         n_waypoints: Number of waypoints of a trajectory without its start; the default is the authors'.
         avoids_hand: Whether the person's hand is an obstacle; the authors' code ignores it.
-        unchecked_last: Whether to reproduce an indexing error of the authors' code. It sets the obstacle costs of the
-            last rows of every array to zero, which is meant for the approach at the end of a trajectory. In the
-            collision check the rows are goals, so that the last five goals pass it; in goal selection they are the
-            waypoints of the last goal, which therefore seems cheap. Measured on DexYCB (exact physics, replay giver,
-            paired by scene), the error changes s0 test (144 scenes) by +2.1 percentage points of success (95 %: -6.8 to
-            +11.0) and -4.9 of contact (-12.6 to +3.0), s1 test (180 scenes) by +8.9 (+0.9 to +16.7) and -10.6 (-17.9 to
-            -3.0).
+        unchecked_last: Whether to reproduce an indexing error of the authors' code. Their code sets the obstacle costs
+            in the last rows of an array to zero, as if these rows were the approach of a trajectory. In the collision
+            check the rows are goals: the last five goals pass it. In goal selection they are the waypoints of the last
+            goal: this goal seems cheap. Measured on DexYCB (exact physics, replay giver, paired by scene), the error
+            changes s0 test (144 scenes) by +2.1 percentage points of success (95 %: -6.8 to +11.0) and -4.9 of contact
+            (-12.6 to +3.0), s1 test (180 scenes) by +8.9 (+0.9 to +16.7) and -10.6 (-17.9 to -3.0).
     """
 
     n_waypoints: int = 30
@@ -119,11 +118,11 @@ class Planner:
         self._start = start
 
     def plan(self, grasps: Array, objects: Sequence[Obstacle], hand: Capsules | None = None) -> Plan | None:
-        """Compute a trajectory to one of the grasps, hand link poses (n, 7; quaternion xyzw); None without a goal.
+        """Compute a trajectory to one of the grasps, which are hand link poses (n, 7; quaternion xyzw).
 
-        Grasps, obstacles `objects` and the person's `hand`, None to ignore it, are in the robot's base frame. There is
-        no goal if no grasp passes the checks of `GoalSetBuilder.build`. A trajectory is also returned if its
-        optimization has not converged.
+        Grasps, obstacles `objects` and the person's `hand` (None to ignore it) are in the robot's base frame. Returns
+        None if no grasp passes the checks of `GoalSetBuilder.build`. A trajectory is also returned if its optimization
+        has not converged.
         """
         config = self.config
         person = make_hand_obstacle(hand) if hand is not None and config.avoids_hand else None
@@ -198,7 +197,7 @@ class Chomp:
         return float(0.5 * (steps**2).sum())
 
     def step(self, trajectory: Array, approach: Array, number: int) -> Array:
-        """Return the trajectory (w, 7) after gradient step `number`, from 1; its end moves to `approach` (t, 7)."""
+        """Return a trajectory (w, 7) after gradient step `number`, from 1; its end is moved to `approach` (t, 7)."""
         smooth = self._metric @ trajectory + self._start_gradient[:, None] * self._start
         near = _OBSTACLE_WEIGHT * self._cost.compute_gradient(trajectory, self._start, approach[-1])
         near = np.clip(near, -_MAX_GRADIENT, _MAX_GRADIENT)

@@ -1,6 +1,6 @@
 """Clearances of the Panda's gripper and arm (elbow to wrist), for many configurations at once.
 
-The gripper is modelled as boxes, elbow to wrist as capsules, and everything else as spheres. Lengths are in meters,
+The gripper is modelled as boxes, elbow to wrist as capsules, and other bodies as spheres. Lengths are in meters,
 poses are position and quaternion xyzw, and a negative clearance is the penetration depth.
 """
 
@@ -71,7 +71,7 @@ class Spheres:
     radii: Array
 
     def transform_to_frame(self, pose: Array) -> "Spheres":
-        """Return the spheres in another frame, whose pose (7,) in the present frame is given (quaternion xyzw)."""
+        """Return the spheres in another frame; `pose` (7,; xyzw) is the pose of that frame in the present one."""
         return Spheres(inverse_transform_points(pose, self.centers), self.radii)
 
     def select_within(self, position: Array, distance: float) -> "Spheres":
@@ -117,13 +117,13 @@ def compute_gripper_corners(hands: Array) -> Array:
 
 
 def compute_flange_clearances(hands: Array, spheres: Spheres) -> Array:
-    """Return clearances (n,) in m, negative on overlap, of a body to the robot's flange at hand link poses (n, 7)."""
+    """Return clearances (n,) in m, negative on overlap, between a body and the flange at hand link poses (n, 7)."""
     local = _points_in_hands(hands, spheres.centers) - GRIPPER_BOX_CENTERS[_FLANGE]
     return np.asarray((compute_box_distances(local, GRIPPER_BOX_HALF_SIZES[_FLANGE]) - spheres.radii).min(axis=1))
 
 
 def compute_open_gripper_clearances(hands: Array, spheres: Spheres) -> Array:
-    """Return clearances (n,) in m, negative on overlap, of a body to open gripper and flange at hand poses (n, 7)."""
+    """Return clearances (n,) in m, negative on overlap, of a body from open gripper and flange at hand poses (n, 7)."""
     local = _points_in_hands(hands, spheres.centers)
     boxes = zip(GRIPPER_BOX_CENTERS, GRIPPER_BOX_HALF_SIZES, strict=True)
     by_box = [(compute_box_distances(local - center, half) - spheres.radii).min(axis=1) for center, half in boxes]
@@ -131,10 +131,10 @@ def compute_open_gripper_clearances(hands: Array, spheres: Spheres) -> Array:
 
 
 def compute_grasp_clearances(hands: Array, spheres: Spheres, sweep: float = 0.0, flange: bool = True) -> Array:
-    """Return signed clearances (n,) in m of a closing gripper from a body; see `compute_open_gripper_clearances`.
+    """Return clearances (n,) in m, negative on overlap, between a body and a closing gripper at hand poses (n, 7).
 
-    The volume that the fingers sweep when they close counts as part of the gripper. The hand body and, if `flange` is
-    set, the flange behind it count along a straight approach of length `sweep` (m) in the hand link's z direction.
+    The gripper includes the volume that the fingers sweep when they close, and the volume that the hand body sweeps on
+    a straight approach of length `sweep` (m) along the hand link's z axis; with `flange`, also what the flange sweeps.
     """
     local = _points_in_hands(hands, spheres.centers)
     back = np.array([0.0, 0.0, 0.5 * sweep])
@@ -146,7 +146,7 @@ def compute_grasp_clearances(hands: Array, spheres: Spheres, sweep: float = 0.0,
 
 
 def count_points_between_pads(hands: Array, points: Array) -> npt.NDArray[np.int_]:
-    """Return how many (n,) of the points (k, 3) are between the open finger pads at hand link poses (n, 7)."""
+    """Return the numbers (n,) of the points (k, 3) that are between the open finger pads at hand link poses (n, 7)."""
     local = _points_in_hands(hands, points)
     return np.asarray((np.abs(local - _PAD_REGION[0]) < _PAD_REGION[1]).all(axis=-1).sum(axis=1))
 
@@ -174,7 +174,7 @@ def find_closest_points(hand: Array, spheres: Spheres) -> ClosestPoints:
 
 
 def compute_arm_clearances(arm: ArmInWorld, joints: Array, spheres: Spheres) -> Array:
-    """Return signed clearances (n,) in m of elbow to wrist, at arm joints (n, 7) in rad, from a body in the world."""
+    """Return clearances (n,) in m between the arm (elbow to wrist) at joints (n, 7) in rad and a body in the world."""
     starts, ends = _arm_segments(arm, joints)
     points = spheres.centers
     axes = ends - starts
@@ -202,7 +202,7 @@ def compute_lowest_heights(arm: ArmInWorld, joints: Array) -> Array:
 
 
 def find_closest_arm_points(arm: ArmInWorld, joints: Array, spheres: Spheres) -> tuple[ClosestPoints, int]:
-    """Return the closest points of arm (elbow to wrist) at joints (7,) and body, and the index of this arm link."""
+    """Return the closest points of arm (elbow to wrist) and body at joints (7,) in rad, and the arm link's index."""
     starts, ends = (end[0] for end in _arm_segments(arm, joints[None]))
     axes = (ends - starts)[:, None]
     from_start = spheres.centers - starts[:, None]

@@ -100,7 +100,7 @@ class ObstacleCost:
         arm: Kinematics of the arm.
         body: (m, 3) points on each link of the arm, in the link's frame (m).
         obstacles: Obstacles in the robot's base frame.
-        n_approach: Number of last waypoints, the approach to the grasp; see `Obstacle.active_in_approach`.
+        n_approach: Number of waypoints at the end of a trajectory that are the final approach to the grasp.
     """
 
     arm: ArmKinematics
@@ -112,7 +112,7 @@ class ObstacleCost:
         """Return the obstacle costs (g,) of straight joint paths from one start (7,) to goals (g, 7).
 
         The cost of a path is the sum of proximity cost times workspace speed over all body points, at `count` waypoints
-        between start and goal; in the mask `is_approach` (g, count), only obstacles with `active_in_approach` count.
+        between start and goal. Where `is_approach` (g, count) is true, objects not `active_in_approach` have no cost.
         """
         shares = np.arange(count + 1) / (count + 1)
         line = start + shares[:, None, None] * (goals - start)
@@ -122,9 +122,9 @@ class ObstacleCost:
         return np.asarray((costs * speed).sum(axis=(0, 1), dtype=np.float64))
 
     def count_collisions(self, trajectory: Array, distance: float) -> int:
-        """Return the number of pairs of robot point and obstacle closer than `distance` (m).
+        """Return the number of robot points that are closer than `distance` (m) to an obstacle, summed over obstacles.
 
-        Pairs are counted at every waypoint; at the last `n_approach`, only obstacles with `active_in_approach` count.
+        Points are counted at every waypoint; in the approach, only for obstacles with `active_in_approach`.
         """
         points = self._points(trajectory)
         pairs = 0
