@@ -104,7 +104,7 @@ def prepare_output_path(out: str | os.PathLike[str], suffixes: Sequence[str]) ->
 
 
 def format_caption(episode: Episode) -> str:
-    """Return time (s) and state of an episode as text, such as "3.20 s, released"; `render_scene` lists all."""
+    """Return time (s) and state of an episode as text, e.g. "3.20 s, released"; `render_scene` lists the states."""
     time = f"{episode.steps * TIME_STEP:.2f} s"
     if episode.status is EpisodeStatus.SUCCESS:
         return f"{time}, goal reached"

@@ -89,7 +89,7 @@ class ReplayRecorder(EpisodeCallback):
         self._record_frame(episode)
 
     def on_decision(self, episode: Episode, decision: PolicyDecision) -> None:
-        """Record the receiver's point clouds when its action takes effect, if it uses the camera on the wrist."""
+        """Record the point clouds of a receiver that uses the wrist camera, when a new action of it takes effect."""
         obs_mode = STATE if self._receiver is None else self._receiver.obs_mode
         if has_camera(obs_mode) and decision.receiver_decided and episode.has_wrist_camera:
             clouds = _observed_clouds(episode, obs_mode)
@@ -146,7 +146,7 @@ def describe_frame(log: ReplayRecorder, frame: ReplayFrame) -> str:
 def list_events(log: ReplayRecorder) -> list[tuple[float, str]]:
     """Return the times (s) and descriptions of an episode's events, in order.
 
-    The times of the release and of the end are exact. Other events get the time of the next frame.
+    The times of the release and of the end are exact. Other events have the time of the next recorded frame.
     """
     flags = {
         "the person has picked the object up": [frame.object_offered for frame in log.frames],

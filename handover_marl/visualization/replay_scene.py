@@ -49,7 +49,7 @@ _FLAT_SHADING_FACES = 300  # meshes with fewer triangles look better with flat s
 _SHOW_AT_ONCE = "<style>canvas{opacity:1!important;animation:appear .3s}@keyframes appear{from{opacity:0}}</style>"
 #: Duration for which the end is shown before the animation starts again (s).
 END_PAUSE_S = 1.5
-# As the camera of images, but a little nearer.
+# As the default camera of images, but a little nearer.
 _CAMERA = CameraConfig(vertical_fov=42.0, target=(0.5, -0.15, 1.15))
 
 
@@ -78,9 +78,9 @@ def require_replay_extra() -> None:
 
 
 def build_replay_page(log: ReplayRecorder, facts: str, camera: CameraConfig | None = None) -> str:
-    """Return a self-contained HTML page with the replay of an episode, and `facts` on data, policies and simulation.
+    """Return a self-contained HTML page that replays an episode and shows the text `facts` on data and policies.
 
-    The initial camera is in front of the robot, unless `camera` is given.
+    The first view is from `camera`, by default from the side.
     """
     info, steps = log.scene.info, log.frames[-1].step
     outcome = f"{log.status.label} after {steps * TIME_STEP:.2f} s" if log.status else "the recording alone"
