@@ -114,9 +114,9 @@ class Scene:
 class Dataset(ABC):
     """Numbered handover scenes with their URDF models, robot grasps, setups and splits.
 
-    By default, scene numbers, setups, splits and object classes are HandoverSim's; a data set with others sets
-    `n_scenes`, `setups` and `object_names`, and overrides `list_scenes`. By default, robot, objects and grasps are
-    the library's; a data set with others overrides `panda_urdf`, `find_object_urdf` and `load_grasps`.
+    Scene numbers, setups, splits and object classes are HandoverSim's, unless a subclass sets `n_scenes`, `setups` and
+    `object_names`, and overrides `list_scenes`. Robot, objects and grasps are the library's, unless a subclass
+    overrides `panda_urdf`, `find_object_urdf` and `load_grasps`.
 
     Args:
         robot: Variant of the Panda, one of `handover_marl.geometry.panda.ROBOTS`.

@@ -164,7 +164,7 @@ def read_motion(path: Path, shapes: Mapping[str, tuple[int, ...]], advice: str) 
 
 
 def check_scene_meta(ids: list[int], grasped: int, sides: list[Any]) -> None:
-    """Raise `ValueError` if a meta file's class numbers `ids`, index `grasped` of one of them, or `sides` are wrong."""
+    """Check class numbers `ids`, index `grasped` of the handed-over object and `sides` of hands; raise `ValueError`."""
     if not 1 <= len(ids) <= MAX_OBJECTS or not set(ids) <= set(SCENE_CLASSES):
         classes = ", ".join(map(str, SCENE_CLASSES))
         raise ValueError(f"ycb_ids must be 1 to {MAX_OBJECTS} of the object classes {classes}, got {ids}")

@@ -72,7 +72,7 @@ def get_prescribed_side(scene: int) -> Literal["left", "right"] | None:
 def choose_scenes(split_ids: tuple[int, ...], scenes: Iterable[int] | None, split_label: str) -> tuple[int, ...]:
     """Return `scenes`, sorted and without repetitions; None gives all scenes of a split, whose numbers are `split_ids`.
 
-    Raise `SceneError` if a scene is not in the split, or if either is empty. The message has the name `split_label`.
+    Raise `SceneError` if a scene is not in the split, or if either is empty. The message calls the split `split_label`.
     """
     if not split_ids:
         raise SceneError(f"{split_label} has no scenes; choose another split, or a data set with more scenes")
