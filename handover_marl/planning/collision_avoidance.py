@@ -42,7 +42,7 @@ class MovingBody:
 
     Attributes:
         spheres: Spheres that approximate the body, in the world.
-        velocity: (3,) velocity of the body (m/s).
+        velocity: (3,) velocity of the body in the world (m/s).
         min_clearance: Minimum clearance between robot and body (m).
     """
 

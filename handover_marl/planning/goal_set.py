@@ -251,8 +251,8 @@ class GoalSetBuilder:
 class GoalSelector:
     """Online goal selection by mirror descent over experts (Wang et al., 2020, III-C).
 
-    In each round, it estimates the cost of a straight path from a waypoint of the present trajectory to each goal; the
-    waypoint is later in later rounds. Experts are copies of the weights of all goals with different learning rates.
+    In each round, the cost of the straight joint path from a waypoint of the present trajectory to each goal is
+    estimated; later rounds use later waypoints. Experts are sets of weights of all goals with different learning rates.
 
     Args:
         cost: Obstacle cost of straight paths.

@@ -112,7 +112,7 @@ class ObstacleCost:
         """Return the obstacle costs (g,) of straight joint paths from one start (7,) to goals (g, 7).
 
         The cost of a path is the sum of proximity cost times workspace speed over all body points, at `count` waypoints
-        between start and goal. Where `is_approach` (g, count) is true, objects not `active_in_approach` have no cost.
+        between start and goal. Obstacles not `active_in_approach` have no cost where `is_approach` (g, count) is true.
         """
         shares = np.arange(count + 1) / (count + 1)
         line = start + shares[:, None, None] * (goals - start)
