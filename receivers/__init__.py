@@ -21,10 +21,10 @@ def list_available() -> tuple[str, ...]:
 
 
 def make(policy: PolicyLike, dataset: Dataset | None = None, trust: bool = False, setup: str | None = None) -> Policy:
-    """Create a receiver, named as text such as "vision:wait=1" or given as a class, for a dataset's robot and objects.
+    """Create a receiver from text such as "vision:wait=1" or from a class, for the robot and objects of a dataset.
 
-    The default dataset is `open_dataset()`. `trust` allows importing modules that only a policy file names;
-    `setup` selects the shipped weights.
+    The default dataset is `open_dataset()`. With `trust`, modules that only a policy file names may be imported. Some
+    receivers ship with weights for each setup; `setup` selects these, and the default is the dataset's first setup.
 
     Raises:
         UnknownNameError, OptionError: There is no such receiver or option, or an option has a wrong value.

@@ -1,4 +1,4 @@
-"""Receivers `hold`, which never moves, and `random`: baselines for learned policies."""
+"""Baselines for learned policies: the receiver `hold` never moves, `random` moves at random."""
 
 import numpy as np
 
@@ -14,7 +14,7 @@ class HoldReceiver(Receiver):
 
     @property
     def wait(self) -> None:
-        """Time at the start configuration: None, since the receiver never starts to move."""
+        """Time before the receiver moves: None, since it never moves."""
         return None
 
     def reset(self, seed: int | None = None) -> None:
@@ -26,7 +26,7 @@ class HoldReceiver(Receiver):
 
 
 class RandomReceiver(Receiver):
-    """Receiver that samples target joint positions uniformly within the limits."""
+    """Receiver that draws target joint positions uniformly between the limits of the action space."""
 
     name = "random"
 

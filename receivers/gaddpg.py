@@ -1,26 +1,26 @@
 """GA-DDPG (Wang et al., CoRL 2021) as in HandoverSim: a learned policy on point clouds.
 
-The receiver waits at the start configuration and then decides every 0.15 s on the next pose of the Panda's hand link,
+The receiver waits at the start configuration. Then it decides every 0.15 s on the next pose of the Panda's hand link,
 from the object's point cloud in the wrist camera and the number of remaining decisions. When no decision remains or
-enough points are between the fingers, it closes them at the present pose and carries the object to the goal in a
-straight line. The receiver uses neither the person's hand nor true poses.
+enough points are between the fingers, the receiver closes the fingers and carries the object to the goal in a straight
+line. It uses neither the person's hand nor true poses.
 
 Details of the authors' scripts that determine the results:
 
 - The receiver waits at the robot's start configuration, not at the waiting pose of other methods.
 - While the object is out of sight, the policy uses the last point cloud in which the object was
-  visible. Each decision uses a smaller random part of the cloud; the random numbers have a fixed
-  seed. Clouds and intermediate poses are rounded to float32 in the robot's base frame.
-- If the object has moved by more than 0.1 m since the last view, five decisions are added, up to a
-  total of 20.
+  visible. Each further decision uses fewer points, which are drawn at random with a fixed seed.
+  Clouds and intermediate poses are rounded to float32 in the robot's base frame.
+- If the object has moved by more than 0.1 m since the last view, five decisions are added, up to
+  `max_steps` (20 in the authors' scripts).
 - Before the first view the start configuration is commanded and no decision is counted.
 - Each decision makes one inverse kinematics query from the present joints, converged or not.
-- The end of the approach is checked in the last millisecond of each decision: more than 50 of 1,024 points between the
-  fingers, repetitions included, end it at any pose of the hand link.
+- The end of the approach is checked in the last millisecond of each decision. More than 50 of 1,024 points between the
+  fingers, repetitions included, end the approach at any pose of the hand link.
 - An image is rendered at that time too, and discarded: rendering changes the broad phase of
   Bullet's collision detection, and without it the last bits of the arm's motion differ.
-- Waypoints to the goal are 0.03 m apart, the last one may be behind the goal, and IK is solved for
-  all from the joints at the start of the retreat, with free rotation of the hand link.
+- Waypoints to the goal are 0.03 m apart; the last one may be beyond the goal. IK for all of
+  them starts from the joints at the start of the retreat, with free rotation of the hand link.
 """
 
 import math
@@ -43,8 +43,8 @@ from handover_marl.receivers.phases import CLOSE_MS, RETREAT_STEP, PhasedReceive
 
 Array = npt.NDArray[np.float64]
 
-#: Six points of the gripper (columns) in the hand link's frame (m), twice the wrist, then the
-#: fingers; they are the first columns of the network's input.
+#: Six points of the gripper (columns) in the hand link's frame (m): the wrist twice, then four points of the fingers.
+#: They are the first columns of the network's input.
 GRIPPER_POINTS = np.array(
     [
         [0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
@@ -54,13 +54,13 @@ GRIPPER_POINTS = np.array(
 )
 
 
-# Values of HandoverSim. Number of points in the network's input besides the gripper's; base of the share of them that
-# is kept of a cloud, with the number of decisions until then as exponent.
+# Values of HandoverSim. Number of object points in the network's input; base b of the share b^n of this number that is
+# kept of a view's cloud after n decisions.
 _N_POINTS, _THINNING = 1024, 0.95
-# Motion of the cloud's mean between two views (m) above which decisions are added, and their number.
+# Motion of the cloud's mean between two views (m) above which decisions are added, and number of added decisions.
 _MOTION_THRESHOLD, _EXTRA_STEPS = 0.1, 5
-# Corners of the region between the fingers in the hand link's frame (m), exclusive, and number of points in it that
-# must be exceeded to end the approach.
+# Corners of the region between the fingers in the hand link's frame (m), exclusive; the approach ends with more than
+# this number of points in the region.
 _CAGE_LOWER, _CAGE_UPPER, _CAGE_POINTS = (-0.02, -0.05, 0.06), (0.02, 0.05, 0.11), 50
 
 # Suffix of weight files of this library.
@@ -74,11 +74,11 @@ GaddpgFunction = Callable[[Array, int], npt.ArrayLike]
 class PointCloudMemory:
     """Memory of the object's last point cloud, and of the number of decisions left before the gripper closes.
 
-    GA-DDPG's scripts call the cloud accumulated, but each view replaces it. The seed of the random selection of points
-    is the same in every episode.
+    GA-DDPG's scripts call the cloud accumulated, but each view replaces it. Random points are selected with the same
+    seed in every episode.
 
     Attributes:
-        cloud: (3, n) float64 points of the object in the robot's base frame (m); n = 0 before the first view of it.
+        cloud: (3, n) float64 points of the object in the robot's base frame (m); n = 0 before its first view.
         remaining: Number of decisions left.
     """
 
@@ -96,7 +96,7 @@ class PointCloudMemory:
     def update(self, points: npt.NDArray[np.float32], base_from_hand: Array) -> None:
         """Replace the cloud by a random part of the object's points in a view; a view without points changes nothing.
 
-        Points (n, 3) float32 are in the hand link's frame (m), whose pose (4, 4) in the base frame is `base_from_hand`.
+        Points (n, 3) float32 are in the hand link's frame (m); `base_from_hand` (4, 4) is its pose in the base frame.
         If the cloud's mean has moved by more than 0.1 m, up to five decisions are added to `remaining`.
         """
         if len(points) == 0:
@@ -111,7 +111,7 @@ class PointCloudMemory:
         self._mean = mean
 
     def make_network_input(self, base_from_hand: Array) -> Array:
-        """Return the network's input: points of gripper and object in the hand link's frame at its pose (4, 4).
+        """Return the network's input for a pose (4, 4) of the hand link: points of gripper and object in its frame.
 
         Returns:
             (4, 1030) float64: three rows of positions (m), and a row that is 1 for the six gripper points, else 0.
@@ -123,7 +123,7 @@ class PointCloudMemory:
         return points
 
     def is_object_caged(self, base_from_hand: Array) -> bool:
-        """Return whether over 50 of 1024 (repeated) object points are between the fingers at a hand pose (4, 4)."""
+        """Return whether over 50 of 1024 points (some repeated) are between the fingers at a hand pose (4, 4)."""
         if self.cloud.shape[1] == 0:
             return False
         hand = _transform(_invert_rounded(base_from_hand), self.cloud)

@@ -15,38 +15,38 @@ Array = npt.NDArray[np.float64]
 
 @functools.lru_cache(maxsize=1024)
 def load_gripper_poses(grasps: Callable[[str], Array | None], object_name: str) -> Array | None:
-    """Return the known gripper poses (n, 7), xyz and xyzw, in an object class's frame, or None without grasps; cached.
+    """Return the gripper poses (n, 7) at the known grasps of an object class, in the object's frame; cached.
 
-    The function `grasps` is `PolicyContext.load_grasps`. For poses of the hand link, see `load_hand_poses`.
+    The function `grasps` is `PolicyContext.load_grasps`. A class without grasps gives None.
     """
     matrices = grasps(object_name)
     return None if matrices is None or not len(matrices) else poses_from_matrices(matrices)
 
 
 def load_hand_poses(grasps: Callable[[str], Array | None], object_name: str) -> Array | None:
-    """Return hand link poses (n, 7), xyz and xyzw, at an object class's grasps in its frame; None without grasps."""
+    """Return the hand link's poses (n, 7) at the known grasps of an object class, in the object's frame, or None."""
     grippers = load_gripper_poses(grasps, object_name)
     return None if grippers is None else compose(grippers, np.array(GRIPPER_FROM_HAND))
 
 
 class GraspTable:
-    """Grasps of object classes in arrays (c, g, ...), padded with zeros to the largest number of grasps of a class.
+    """Grasps of c object classes in arrays (c, g, ...), padded with zeros to the largest number g of grasps of a class.
 
-    The function `load` is called when a class is needed first: it takes the class number, and returns NumPy arrays
-    (g, ...) of the class's grasps, or None without grasps. `arrays` has a padded array (c, g, ...) for each array that
-    `load` returns; `is_grasp` (c, g) is False at padding.
+    `find` calls the function `load` once for each class, with the class number. `load` returns a tuple of NumPy arrays
+    with a row for each grasp, or None for a class without grasps. The attribute `arrays` has a padded array for each
+    array of this tuple; `is_grasp` (c, g) is False at padding.
     """
 
     def __init__(self, load: Callable[[int], tuple[Array, ...] | None], arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
         self._load, self._factory = load, arrays
-        # Arrays of each class with grasps, and their places by class number.
+        # Arrays of each class with grasps, and by class number, its index in this list, -1 without grasps.
         self._known: list[tuple[Array, ...]] = []
         self._index: dict[int, int] = {}
         self.arrays: list[AnyArray] = []
         self.is_grasp = arrays.zeros((0, 0), "bool")
 
     def find(self, classes: AnyArray) -> AnyArray:
-        """Return the row in `arrays` of each class number (r,), -1 for a class without grasps; load new classes."""
+        """Return the rows (r,) in `arrays` of class numbers (r,), -1 for classes without grasps; load new classes."""
         numbers, n_before = to_numpy(classes).astype(int).tolist(), len(self._known)
         for number in sorted(set(numbers) - self._index.keys()):
             known = self._load(number)

@@ -32,8 +32,7 @@ from handover_marl.receivers.phases import CLOSE_MS, RETREAT_STEP, PhasedReceive
 
 Array = npt.NDArray[np.float64]
 
-# Resolution of the poses that the planner is given (m, and components of a quaternion), far below
-# the accuracy of a camera.
+# Resolution of the planner's input poses (m, and components of a quaternion), far below the accuracy of a camera.
 _POSE_RESOLUTION = 1e-5
 _log = logging.getLogger(__name__)
 
@@ -41,8 +40,8 @@ _log = logging.getLogger(__name__)
 def round_poses(poses: Array) -> Array:
     """Round poses (n, 7), xyz (m) and quaternion xyzw, to 1e-5; make the largest quaternion component positive.
 
-    The selection among goals of equal cost, and with it the whole plan, depends on the last bits of
-    a pose, in which physics engines differ.
+    Physics engines differ in the last bits of a pose. Without rounding, these bits would decide between goals of equal
+    cost, and so change the whole plan.
     """
     largest = np.abs(poses[:, 3:]).argmax(axis=1)
     signs = np.sign(np.take_along_axis(poses[:, 3:], largest[:, None], axis=1))
@@ -61,7 +60,7 @@ class OmgReceiver(PhasedReceiver):
         config: Configuration of the planner.
 
     Attributes:
-        world_from_base: (7,) world pose (quaternion xyzw) of the robot's base, in whose frame plans are given.
+        world_from_base: (7,) world pose (quaternion xyzw) of the robot's base; plans are in the base's frame.
         has_planned: Whether the receiver has planned in this episode, successfully or not.
         plan: Planned trajectory of this episode; None before planning, or if no grasp is reachable.
     """

@@ -1,4 +1,4 @@
-"""Base class of receivers that wait, approach, close the fingers and retreat for fixed times."""
+"""Base class of receivers that wait, move in steps, close the fingers and retreat at fixed times."""
 
 import math
 from abc import abstractmethod
@@ -19,7 +19,7 @@ RETREAT_STEP = 0.03
 
 
 class PhasedReceiver(Receiver):
-    """Base class of receivers whose phases take fixed times, counted in whole milliseconds.
+    """Base class of receivers whose wait and steps have fixed durations, counted in whole milliseconds.
 
     Args:
         context: The robot and the task.
@@ -46,7 +46,7 @@ class PhasedReceiver(Receiver):
 
     @property
     def hold_time(self) -> float:
-        """Time until the next command differs or a decision is due (s)."""
+        """Time until the next command or decision (s), infinite after the last one."""
         return (self._until_ms - self._now_ms) / 1000.0
 
     def _command(self, arm: npt.NDArray[np.float64], fingers: float, until_ms: float) -> Action:

@@ -1,8 +1,8 @@
 """Reactive handovers by grasp selection (Yang et al., ICRA 2021), as in HandoverSim.
 
-Every 0.1 s the receiver ranks the object's known grasps by the distance of their standoff poses from the pose selected
-last and from a preferred pose. It moves to the best reachable standoff, from there straight to the grasp, closes the
-fingers and carries the object to the goal. The receiver uses the object's true pose and ignores the person's hand.
+Every 0.1 s the receiver ranks the object's known grasps by their standoff poses: by the distance to the last selected
+pose plus the distance to a preferred pose. It moves to the best reachable standoff and from there straight to the
+grasp, closes the fingers and carries the object to the goal. It uses the object's true pose and ignores the hand.
 """
 
 from collections.abc import Sequence
@@ -53,15 +53,15 @@ class YangConfig(CheckedConfig):
         decision_period: Time between decisions during the approach (s).
         close_time: Time for which the fingers close (s).
         close_decision_period: Time between decisions while the fingers close; longer ones are faster in batches (s).
-        standoff: (7,) standoff pose (quaternion xyzw) of the hand link, in the frame of the hand link at the grasp.
-        preferred_pose: (7,) world pose (quaternion xyzw) of the hand link near which a standoff has a low cost.
+        standoff: (7,) standoff pose (quaternion xyzw) of the hand link, relative to its pose at the grasp.
+        preferred_pose: (7,) preferred world pose (quaternion xyzw) of the hand link; standoffs near it cost less.
         rotation_weight: Weight of rotations relative to squared distances in a standoff's cost (m^2).
         max_candidates: Maximum number of grasps that are checked for reachability.
-        region_width: Half width of the region around the line from standoff to grasp in which the hand link moves
+        region_width: Largest distance of the hand link from the line between standoff and grasp at which it moves
             straight to the grasp, for a line of length 0 (m).
-        region_slope: Relative increase of this half width per meter of the line's length (1/m).
-        region_max_width: Maximum half width of the region around the line (m).
-        angle_tolerance: Maximum rotation error of the hand link in the region and at the grasp (rad).
+        region_slope: Relative increase of this distance per meter of the line's length (1/m).
+        region_max_width: Upper limit of this distance (m).
+        angle_tolerance: Maximum rotation error of the hand link near the line and at the grasp (rad).
         step_length: Length of a step from standoff to grasp (m).
         grasp_tolerance: Maximum distance from the grasp at which the fingers close (m).
     """
@@ -104,9 +104,9 @@ class Yang2021Receiver(ArrayPolicy, Receiver):
         options: Other values of numbers in the configuration, such as `step_length=0.03`; see `YangConfig`.
 
     Attributes:
-        phase: Phase (n,) of each episode, a `YangPhase`.
-        selected: World poses (n, 2, 7; xyzw) of the hand link at the selected standoffs and grasps; nan without
-            selection.
+        phase: (n,) `YangPhase` of each episode.
+        selected: (n, 2, 7) world poses (quaternion xyzw) of the hand link at the selected standoff and grasp of each
+            episode; nan without a selection.
     """
 
     name = "yang2021"
@@ -125,11 +125,11 @@ class Yang2021Receiver(ArrayPolicy, Receiver):
         self.allocate(1, NUMPY_ARRAYS)
 
     def allocate(self, count: int, arrays: ArrayFactory) -> None:
-        """Create the state of `count` episodes, in NumPy arrays; `arrays` creates the arrays of actions."""
+        """Create the state of `count` episodes in NumPy arrays; the factory `arrays` creates the arrays of actions."""
         self._arrays = arrays
         self.phase, self._close_until = np.full(count, int(YangPhase.WAIT)), np.zeros(count)
         self.selected = np.full((count, 2, 7), np.nan)
-        # Last selected standoffs, near which the next ones have a low cost; nan if there is none.
+        # Standoffs selected last, to which the next ones should be near; nan without a selection.
         self._references = np.full((count, 7), np.nan)
         self._goals = np.zeros((count, ARM_DOF))
 
@@ -209,7 +209,7 @@ class Yang2021Receiver(ArrayPolicy, Receiver):
         return self._arrays.asarray(np.where(waits[:, None], panda.WAITING_JOINTS, actions).astype(np.float32))
 
     def _find_places(self, rows: Indices, approaches: Flags, hands: npt.NDArray[np.float32]) -> tuple[Flags, Flags]:
-        """Return two masks (r,) of the hand links with poses (r, 7): between standoff and grasp, and at the grasp.
+        """Return two masks (r,) for hand links at poses (r, 7): whether near the line to the grasp, and at the grasp.
 
         Both are False where `approaches` (r,) is False.
         """
@@ -232,7 +232,7 @@ class Yang2021Receiver(ArrayPolicy, Receiver):
         return in_region, at_grasp
 
     def _move_to_standoffs(self, rows: Indices, observation: Observation) -> Array:
-        """Select the cheapest reachable standoffs, and return the arm joints (r, 7) there in rad, nan if none is."""
+        """Select the cheapest reachable standoffs; return the arm joints (r, 7) in rad there, nan if none is found."""
         joints = observation["robot_joint_position"]
         arms = np.full((len(joints), ARM_DOF), np.nan)
         index = self._table.find(observation["object_classes"][:, 0])
@@ -271,7 +271,7 @@ class Yang2021Receiver(ArrayPolicy, Receiver):
         return compute_pose_distances(references, standoffs, weight) + to_preferred
 
     def _move_to_grasps(self, rows: Indices, observation: Observation) -> Array:
-        """Return the arm joints (r, 7) in rad after one step to the grasps, nan where there is no IK solution."""
+        """Return the arm joints (r, 7) in rad one step closer to the grasps, nan without an IK solution."""
         hands, grasps, length = observation["gripper_pose"][:, :3], self.selected[rows, 1], self.config.step_length
         offsets = grasps[:, :3] - hands
         distances = compute_lengths(offsets)[:, None]
