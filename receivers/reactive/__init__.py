@@ -1,1 +1,1 @@
-"""Receiver `reactive`, which follows the object that the person moves, by the true poses of object and hand."""
+"""Receiver `reactive`, which follows the moving object; it uses the true poses of the object and the person's hand."""

@@ -17,18 +17,18 @@ PERIODS = (0.001, 60.0)
 
 @dataclass(frozen=True)
 class GraspSelectorConfig(CheckedConfig):
-    """Configuration of grasp selection; costs are in seconds, as the travel time of the arm.
+    """Configuration of grasp selection; the costs of a grasp (s) are added to the travel time of the arm.
 
     Attributes:
         max_candidates: Maximum number of grasps for which inverse kinematics is solved.
         desired_clearance: Desired clearance of the gripper to the person's hand (m).
-        clearance_cost: Cost of clearance below `desired_clearance` (s/m).
-        min_clearance: Initial minimum clearance of a grasp to the person's hand (m), lowered while no grasp has it.
+        clearance_cost: Cost per meter by which the clearance is below `desired_clearance` (s/m).
+        min_clearance: Initial minimum clearance to the person's hand (m). It decreases while no grasp has it.
         hard_min_clearance: Lower bound of the decreasing minimum clearance (m).
-        offset_delay: Time without a good grasp after which offset grasps, shifted and tilted copies, are added (s).
+        offset_delay: Time without a good grasp after which offset grasps (shifted and tilted copies) are added (s).
         offset_cost: Additional cost of an offset grasp, which is not validated (s).
-        partial_hold_cost: Cost of a grasp that has failed all its validations (s), proportionally less for one that has
-            passed some.
+        partial_hold_cost: Cost of grasps that do not always hold the object (s): factor on 1 minus their success rate
+            in validation.
     """
 
     default_limits: ClassVar[tuple[float, float]] = (0.0, math.inf)
@@ -50,14 +50,14 @@ class ApproachConfig(CheckedConfig):
     Axial distances are measured along the approach axis of the gripper, lateral ones across it.
 
     Attributes:
-        standoff: Distance from the standoff pose, at which the gripper waits for the object to rest, to the grasp (m).
+        standoff: Distance of the standoff pose from the grasp (m). There, the gripper waits for the object to rest.
         lateral_tolerance: Maximum lateral distance at the grasp (m).
         rotation_tolerance: Maximum rotation error at the grasp (rad).
         speed: Maximum speed along the approach axis (m/s).
         max_object_speed: Speed of the object above which the gripper does not come closer (m/s).
         max_held_still_speed: Value of `max_object_speed` for an object that is held almost still in the air (m/s).
-        close_speed: Maximum speed of the object at which the fingers close (m/s); it is relative to the gripper if the
-            object is held almost still in the air.
+        close_speed: Maximum speed of the object at which the fingers close (m/s). For an object that is held almost
+            still in the air, it is the speed relative to the gripper.
         close_period: Control period while the fingers close (s).
     """
 
@@ -94,18 +94,18 @@ class ReactiveConfig(CheckedConfig):
 
     Attributes:
         period: Control period (s).
-        near_period: Control period while something moves near the gripper (s).
+        near_period: Control period of the approach while object or hand moves near the gripper (s).
         min_lift: Distance from its first position above which an object counts as lifted (m).
         n_surface_spheres: Number of spheres that approximate an object.
         surface_radius: Radius of the spheres that approximate an object (m).
-        n_surface_points: Number of random points on an object's surface from which, with the vertices of its mesh,
-            finger contacts are computed.
+        n_surface_points: Number of random points on an object's surface. Finger contacts are computed from these
+            points and the vertices of the mesh.
         selection: Configuration of grasp selection.
         preparation: Configuration of tilted copies and of the validation of known grasps.
         approach: Configuration of the approach and of closing the fingers.
         retreat: Configuration of the retreat to the goal.
-        separation: Minimum clearances to the person, the object and the table.
-        prediction: Motion model that predicts where the object is handed over.
+        separation: Clearances to the person, the objects and the table.
+        prediction: Constants of the motion model that predicts the handover pose.
         servo: Limits on joint speeds and accelerations.
     """
 
@@ -129,8 +129,8 @@ class ReactiveConfig(CheckedConfig):
 def apply_risk(config: ReactiveConfig, risk: float) -> ReactiveConfig:
     """Return a copy of `config` with another trade-off between success rate and speed.
 
-    The risk is a number from 0 (a quarter of the speeds, also of objects that are approached) to 1 (four times these
-    speeds); a risk of 0.5 changes nothing. Another value raises `OptionError`.
+    The risk is a number from 0 to 1: 0.5 changes nothing, 0 divides the speeds of the robot and the speed limits of
+    approached objects by four, 1 multiplies them by four. Other risks raise `OptionError`.
     """
     if isinstance(risk, bool) or not isinstance(risk, (int, float)) or not 0.0 <= risk <= 1.0:
         raise OptionError(f"risk must be a number from 0 to 1, got {risk!r}")

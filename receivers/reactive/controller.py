@@ -23,8 +23,8 @@ from handover_marl.receivers.reactive.selector import GraspGoal, GraspSelector
 
 Array = npt.NDArray[np.float64]
 
-# Times after the fingers have begun to close (s): the latest for the person's release, and the first at which closed
-# fingers count as empty.
+# Times since the fingers began to close (s): the gripper backs out if the person has not released the object by the
+# first time, or if the fingers are closed after the second.
 _CLOSE_TIMEOUT, _EMPTY_DELAY = 0.8, 0.35
 # Gain with which the gripper follows the person's hand while the fingers close (1/s), and maximum joint acceleration
 # (rad/s^2), high enough that the gripper stops before the fingers push the object.
@@ -62,7 +62,7 @@ class HandoverController:
 
     Args:
         motion: Controller of the motion; the caller updates its estimate of the scene before each step.
-        selector: Grasp selector; the caller sets its candidates before each step.
+        selector: Grasp selector; the caller sets its candidates.
         goal: (3,) goal of the hand link's position in the world (m).
         wait: Time at the waiting pose (s).
 
@@ -95,7 +95,7 @@ class HandoverController:
         return np.stack([self._selector.compute_standoff_pose(grasp), grasp])
 
     def step(self) -> Action:
-        """Return the next action, nine target joint positions (rad, m), and update the phase and the control period."""
+        """Return the next action (9,), target joint positions (rad, m); update the phase and the control period."""
         config, servo = self._config, self._motion.servo
         is_watchful = self._is_approaching and self._scene.has_motion_nearby
         servo.period = config.near_period if is_watchful else config.period
@@ -159,7 +159,7 @@ class HandoverController:
         return motion.move_closed(velocity, _CLOSE_ACCELERATION)
 
     def _catch(self) -> Action:
-        """Close the fingers around an object that was released too early and falls; back out if it is out of reach."""
+        """Close the fingers around an object that was released too early; back out if the object is out of reach."""
         config, scene, motion = self._config.approach, self._scene, self._motion
         chosen, period = self._selector.chosen, config.close_period
         if chosen is None or not self._approach_controller.is_catchable(chosen):
@@ -238,11 +238,11 @@ class ControllerReceiver(Receiver):
 
     @property
     def hold_time(self) -> float:
-        """Time until the next decision (s), shorter while something moves near the gripper."""
+        """Time until the next decision (s), shorter near a moving object or hand and while the fingers close."""
         return self.servo.period
 
     def start_episode(self, scene: SceneEstimate) -> None:
-        """Reset selector and servo, and create the controller of an episode, which reads this estimate of the scene."""
+        """Reset selector and servo, and create the controller of an episode; `scene` is the estimate that it reads."""
         self.servo.reset()
         self.selector.reset()
         motion, goal = MotionController(self.arm, self.servo, scene), np.array(self.context.protocol.goal_center)

@@ -1,7 +1,7 @@
 """Contacts of the finger pads with a grasped object.
 
-An object that is held by the very tips or edges of the fingers slips out of them within a few hundredths of a second
-after the person has released it, even if the grasp has passed its validation.
+Some grasps pass their validation but hold the object only by the tips or edges of the fingers. When the person releases
+the object, it slips out of such a grasp within a few hundredths of a second.
 """
 
 import functools
@@ -29,14 +29,14 @@ Array = npt.NDArray[np.float64]
 
 # Fingers in the hand link's frame (m): tip along z, half width along x, root along z, inner side along y when open.
 _TIP_Z, _HALF_WIDTH, _ROOT_Z, _OPEN_Y = 0.1126, 0.0105, 0.058, 0.041
-# Costs (s) of a grasp that has failed its validation, and of one that holds the object by the tip or edge of a finger;
-# distance of contacts from the tip and edges of a pad from which on the latter is 0 (m).
+# Costs of a grasp that has failed its validation, and of one with a pad margin of 0 (s); pad margin from which on the
+# second cost is 0 (m).
 _UNSTABLE_COST, _FINGERTIP_COST, _DESIRED_PAD_MARGIN = 5.0, 4.0, 0.008
-# Minimum distance of an offset grasp's contacts from the tip and edges of a finger pad (m).
+# Minimum pad margin of an offset grasp (m).
 _MIN_OFFSET_PAD_MARGIN = 0.004
-# Number of the spheres that approximate an object besides the grasped one, and their radius (m).
+# Number and radius (m) of the spheres that approximate each of the other objects.
 _N_OBSTACLE_SPHERES, OBSTACLE_RADIUS = 80, 0.015
-# Depth behind the first contact up to which surface points are touched by a soft pad (m).
+# Depth to which a soft pad touches surface points behind the first contact (m).
 _PAD_SOFTNESS = 0.0015
 
 
@@ -46,7 +46,7 @@ class GraspableObject:
 
     Attributes:
         grasps: Grasps at which the flange behind the hand link does not touch the object.
-        pad_margins: (n,) distance (m) of each grasp's contacts from tip and edges of the finger pads, see
+        pad_margins: (n,) distances of the grasps' contacts from tip and edges of the finger pads (m), see
             `compute_pad_margins`.
         surface: Spheres that coarsely approximate the object's surface.
         points: (k, 3) dense points on the object's surface (m).
@@ -61,9 +61,9 @@ class GraspableObject:
 
 
 def load_graspable_object(context: PolicyContext, object_name: str, config: ReactiveConfig) -> GraspableObject:
-    """Load the surface of an object class and its validated grasps, of which there may be none; cached.
+    """Load the surface and the validated grasps of an object class; cached. There may be no grasps.
 
-    Known grasps are validated and improved in simulation, which may take minutes the first time.
+    Grasps without a stored record are validated in simulation, which may take minutes.
     """
     urdf, known = context.find_object_urdf(object_name), load_hand_poses(context.load_grasps, object_name)
     if known is None:
@@ -101,10 +101,10 @@ def load_obstacle(context: PolicyContext, object_name: str) -> Spheres:
 def find_offset_grasps(
     graspable: GraspableObject, human_hand: Spheres, config: ReactiveConfig
 ) -> tuple[ValidatedGrasps, Array]:
-    """Return offset copies of an object's grasps that are clear of the person's hand, and their margins (n,) in m.
+    """Return n offset copies of an object's grasps that are clear of the person's hand, and their pad margins (n,).
 
-    The margin of a grasp is the distance of its contacts from the edges of the finger pads (`compute_pad_margins`);
-    copies with a small margin are left out. The hand is given in the object's frame; `perturb_grasps` makes the copies.
+    `perturb_grasps` makes the copies, and `compute_pad_margins` their margins (m); copies with a small margin are left
+    out. The spheres `human_hand` are in the object's frame.
     """
     offset = perturb_grasps(graspable.grasps, graspable.points, human_hand, config.approach.standoff)
     margins = compute_pad_margins(offset.poses, graspable.points)
@@ -113,7 +113,7 @@ def find_offset_grasps(
 
 
 def collect_surface_points(vertices: Array, faces: npt.NDArray[np.int_], count: int) -> Array:
-    """Return the vertices of a mesh and `count` random points on its surface, from a fixed seed (m)."""
+    """Return the vertices of a mesh, followed by `count` points that a fixed seed draws on its surface (m)."""
     rng = np.random.default_rng(0)
     corners = vertices[faces]
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
@@ -122,11 +122,11 @@ def collect_surface_points(vertices: Array, faces: npt.NDArray[np.int_], count: 
 
 
 def compute_pad_margins(poses: Array, points: Array) -> Array:
-    """Return the distances (n,) in m of the contacts of n grasps from the tip and edges of the finger pads.
+    """Return the pad margins (n,) of n grasps: the distances (m) of contacts from the tip and edges of the finger pads.
 
-    The distance of a pad is the largest among the points that it touches; the smaller of the two pads' distances is
-    returned, or 0 if no point is between the fingers. Distances from the edges count twice, since fingers are narrow.
-    Poses (n, 7; xyzw) of the hand link and surface points (k, 3) are in the object's frame.
+    The margin of a pad is the largest distance of a touched point from tip and edges; distances from the edges count
+    twice, since fingers are narrow. The margin of a grasp is the smaller one of its two pads, or 0 if no point is
+    between the fingers. Poses (n, 7; xyzw) of the hand link and surface points (k, 3) are in the object's frame.
     """
     margins = np.zeros(len(poses))
     for number, pose in enumerate(poses):
@@ -141,7 +141,7 @@ def compute_pad_margins(poses: Array, points: Array) -> Array:
 
 
 def compute_hold_costs(grasps: ValidatedGrasps, pad_margins: Array, config: GraspSelectorConfig) -> Array:
-    """Return costs (n,) in s of grasps: higher if they hold less often, or if the pad margins (n,) in m are small."""
+    """Return costs (n,) in s of grasps: higher for low success rates and for small pad margins (n,) in m."""
     rates = grasps.success_rates
     costs: Array = _UNSTABLE_COST * (rates == 0.0) + config.partial_hold_cost * (1.0 - rates)
     costs += _FINGERTIP_COST * np.maximum(0.0, 1.0 - pad_margins / _DESIRED_PAD_MARGIN)

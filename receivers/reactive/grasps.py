@@ -2,10 +2,10 @@
 
 Known grasps and their tilted copies are validated in a simulation of gripper and object, in three steps. First, the
 gripper closes at the grasp and shakes the object. Then the grasp is moved along its approach axis towards the object,
-as far as the open gripper does not collide. There, the gripper closes on an object that a person holds and then
-releases. Validation records of DexYCB's objects and of the library's objects ship with the library; they were made in
-PyBullet. MuJoCo makes the records of other objects, which are stored in the user's cache folder. A hash of the object's
-files, its known grasps and the robot's model identifies a record.
+by the first of a list of distances without a collision of the open gripper. There, the gripper closes on an object that
+a person holds and then releases. The library ships with records of these validations, made in PyBullet, for DexYCB's
+objects and its own. Records of other objects are made in MuJoCo and stored in the user's cache folder. A hash of the
+object's files, its known grasps, the configuration and the robot's model identifies a record.
 
 Poses are poses of the Panda's hand link: position (m) and quaternion xyzw.
 """
@@ -52,15 +52,15 @@ _TILTS, _LATERAL_OFFSETS, _BACKWARD_OFFSETS = (
 )
 #: Minimum clearance of an offset copy to the person's hand (m).
 OFFSET_HAND_CLEARANCE = 0.003
-# Minimum clearance of the open gripper at an offset copy to points of the object (m), number of these from the end of
-# the list, minimum number of them between the pads, and maximum number of copies, taken evenly from all.
+# Minimum clearance of the open gripper at an offset copy to the object (m), number of checked points of the object (the
+# last ones), minimum number of checked points between the pads, and maximum number of copies, taken evenly from all.
 _OFFSET_OBJECT_CLEARANCE, _N_CHECKED_POINTS, _MIN_POINTS_BETWEEN_PADS, _MAX_OFFSET_GRASPS = 0.001, 1200, 2, 1500
 # Increased whenever the same files lead to other grasps.
 _VERSION = 3
 _DESCRIPTION = "record of validated grasps"
-# Minimum distance of a tilted copy from all other grasps (m), and weight of rotations in it (m/rad).
+# Minimum distance of a tilted copy from all other grasps (m), and weight of rotations in this distance (m/rad).
 _MIN_DISTANCE, _ROTATION_WEIGHT = 0.035, 0.1
-# Additional distance, beyond an advance, at which the open gripper must not collide with the object (m).
+# Distance beyond an advance (m): the open gripper must not collide with the object there either.
 _MIN_ADVANCE_CLEARANCE = 0.004
 _HAND_FROM_GRIPPER = invert_pose(np.array(GRIPPER_FROM_HAND))
 
@@ -76,8 +76,8 @@ class GraspPreparationConfig(CheckedConfig):
         max_copies: Maximum number of stable copies, of all grasps together.
         lateral_offsets: Offsets in the hand link's frame (fingers close along y) at which the shaking
             of a stable grasp is repeated (m).
-        advances: Distances (m) by which a grasp may be moved along its approach axis towards the object, the preferred
-            one first. Deeper grasps hold better: an object between the fingertips slips when the person releases it.
+        advances: Distances (m) by which a grasp may be moved along its approach axis towards the object; the first one
+            without a collision is used. Objects slip less in deeper grasps when the person releases them.
         held_time: Time for which the object is held in place while the fingers close (s).
         free_time: Time for which the object is then simulated without support (s).
         max_slip: Maximum slip of the object within `free_time` (m).
@@ -105,7 +105,7 @@ class GraspPreparationConfig(CheckedConfig):
     )
 
 
-#: Validation with few simulations, one for shaking and one for the release, which takes a few seconds for each object.
+#: Validation with one simulated shaking and one simulated release per grasp. It takes a few seconds for each object.
 QUICK_PREPARATION = GraspPreparationConfig(tilts=(-0.5, 0.5), max_copies=30, lateral_offsets=(), release_offsets=())
 
 
@@ -115,19 +115,19 @@ class ValidatedGrasps:
 
     Attributes:
         poses: (n, 7) poses (quaternion xyzw) of the hand link in the object's frame.
-        success_rates: (n,) share of validations that each grasp has passed, 0 to 1.
+        success_rates: (n,) share of passed shakings times share of passed releases of each grasp, 0 to 1.
     """
 
     poses: Array
     success_rates: Array
 
     def select(self, chosen: npt.NDArray[np.generic]) -> "ValidatedGrasps":
-        """Return only the grasps with the indices or flags (n,) `chosen`."""
+        """Return the grasps that the indices or flags `chosen` (n,) select."""
         return ValidatedGrasps(self.poses[chosen], self.success_rates[chosen])
 
 
 def grasps_from_record(record: ValidationRecord, known: Array, config: GraspPreparationConfig) -> ValidatedGrasps:
-    """Return the n grasps and success rates that a validation record (n, 4) of known grasps (k, 7) describes."""
+    """Return the n grasps and success rates of a validation record (n, 4) that was made from known grasps (k, 7)."""
     copy, stable, advance, kept = np.asarray(record, dtype=np.int64).T
     n_shakes, n_releases = 1 + len(config.lateral_offsets), 1 + len(config.release_offsets)
     poses = np.concatenate([known, tilt_grasps(known, config)[copy[len(known) :]]])
@@ -142,7 +142,7 @@ def advance_grasp(pose: Array, distance: float) -> Array:
 
 
 def tilt_grasps(known: Array, config: GraspPreparationConfig) -> Array:
-    """Return copies (m, 7) of grasps (n, 7), each tilted by each of `tilts` about the line between the finger pads."""
+    """Return copies (m, 7) of grasps (n, 7): one per grasp and angle in `tilts`, about the line between the pads."""
     offsets = (make_offset_pose(tilt) for tilt in config.tilts)
     return np.concatenate([np.zeros((0, 7)), *(compose(known, offset) for offset in offsets)])
 
@@ -150,8 +150,8 @@ def tilt_grasps(known: Array, config: GraspPreparationConfig) -> Array:
 def compute_grasp_distances(pose: Array, poses: Array, rotation_weight: float, depth: float = 0.0) -> Array:
     """Return the distances (n,) in m of grasp poses (n, 7) (quaternion xyzw) to one grasp pose (7,) in the same frame.
 
-    A distance is the distance of the points at `depth` (m) on the hand link's z axis, such as `PAD_DISTANCE` for the
-    middle between the pads, plus `rotation_weight` (m/rad) times the rotation angle.
+    A grasp's point is at `depth` (m) on the hand link's z axis, in the middle between the pads for `PAD_DISTANCE`. The
+    distance of two grasps is the distance of their points plus `rotation_weight` (m/rad) times the rotation angle.
     """
     point = np.array([0.0, 0.0, depth, 0.0, 0.0, 0.0, 1.0])
     translations = np.linalg.norm(compose(poses, point)[:, :3] - compose(pose, point)[:3], axis=1)
@@ -162,9 +162,9 @@ def compute_grasp_distances(pose: Array, poses: Array, rotation_weight: float, d
 def perturb_grasps(grasps: ValidatedGrasps, points: Array, hand: Spheres, sweep: float) -> ValidatedGrasps:
     """Return offset copies of stable grasps that keep clear of a person's hand and of the object.
 
-    Points (k, 3) of the object's surface and the hand are in the object's frame; `sweep` is the length (m) of the
-    straight approach, on which the gripper must keep clear of the hand. The copies have the success rates of the stable
-    grasps; they are likely to hold, since the object is between the fingers, but they are not validated in simulation.
+    Surface points (k, 3) of the object and the spheres `hand` are in the object's frame. The gripper must keep clear of
+    the hand on a straight approach of length `sweep` (m), too. Copies are not validated in simulation, but they have
+    the object between the fingers, and the success rates of the stable grasps.
     """
     is_stable = grasps.success_rates > 0.0
     poses, rates = grasps.poses[is_stable], grasps.success_rates[is_stable]
@@ -183,9 +183,9 @@ def perturb_grasps(grasps: ValidatedGrasps, points: Array, hand: Spheres, sweep:
 
 
 def make_offset_pose(tilt: float, lateral: float = 0.0, backward: float = 0.0) -> Array:
-    """Return the pose (7,) of a copy of a grasp in the grasp's frame, tilted (rad) about the line between the pads.
+    """Return the pose (7,) of a copy of a grasp in the grasp's frame, with a `tilt` (rad) about the line between pads.
 
-    The copy is also moved by `lateral` (m) along x, across that line, and by `backward` (m) against the approach.
+    The copy is also moved by `lateral` (m) along x, across that line, and by `backward` (m) along -z.
     """
     middle = np.array([0.0, 0.0, PAD_DISTANCE, 0.0, 0.0, 0.0, 1.0])
     moved = np.array([lateral, 0.0, -backward, *Rotation.from_euler("y", tilt).as_quat()])
@@ -198,7 +198,7 @@ def validate_grasps(
     """Return an object's known grasps, and the tilted copies that hold a shaken object, with their success rates.
 
     Known grasps that failed are kept with a success rate of 0. The returned grasps are moved along their approach axis
-    (z of the hand link) towards the object, as far as the open gripper does not collide.
+    (z of the hand link) by the first of `advances` at which the open gripper does not collide, if there is one.
 
     Args:
         object_urdf: URDF of the object.
@@ -238,7 +238,7 @@ def get_validation_record(
 
 
 def has_shipped_record(object_urdf: Path, panda_urdf: Path, known: Array, config: GraspPreparationConfig) -> bool:
-    """Return whether the library contains a validation record of an object's grasps; see `validate_grasps`."""
+    """Return whether a validation record ships for these arguments of `validate_grasps`."""
     path = get_validation_record_path(object_urdf, panda_urdf, known, config)
     return load_validation_record(path.stem) is not None
 
@@ -246,7 +246,7 @@ def has_shipped_record(object_urdf: Path, panda_urdf: Path, known: Array, config
 def get_validation_record_path(
     object_urdf: Path, panda_urdf: Path, known: Array, config: GraspPreparationConfig
 ) -> Path:
-    """Return the path of the cache file for a validation of known grasps; its stem is the name of a shipped record."""
+    """Return the cache path of a validation record of known grasps; a shipped record has the path's stem as name."""
     # Another robot may have other masses and friction of the fingers; the folder of its meshes has no influence.
     robot = re.sub(rb'filename="[^"]*/', b'filename="', read_plain_file(panda_urdf, MAX_URDF_BYTES))
     key = f"{_VERSION} {_make_preparation_key(config)}".encode()
@@ -299,7 +299,7 @@ def _simulate_grasps(
 
 
 def _count_stable(validator: "GraspValidator", pose: Array, config: GraspPreparationConfig) -> int:
-    """Count the poses, of a grasp and its `lateral_offsets`, that hold a shaken object; 0 if the grasp fails."""
+    """Count the poses (a grasp and its `lateral_offsets`) that hold a shaken object; 0 if the grasp itself does not."""
     if not validator.is_stable(_gripper_matrix(pose)):
         return 0
     moved = [compose(pose, np.array([*offset, 0.0, 0.0, 0.0, 1.0])) for offset in config.lateral_offsets]
@@ -316,7 +316,7 @@ def _find_advance(validator: "GraspValidator", pose: Array, config: GraspPrepara
 
 
 def _count_kept(validator: "GraspValidator", pose: Array, config: GraspPreparationConfig) -> int:
-    """Count the poses, of a grasp and its `release_offsets`, that keep a released object; 0 if the grasp fails."""
+    """Count the poses (a grasp and its `release_offsets`) that keep a released object; 0 if the grasp does not."""
     offsets = np.array([(0.0, 0.0, 0.0), *config.release_offsets])
     moved = compose(pose, np.concatenate([offsets, np.tile([0.0, 0.0, 0.0, 1.0], (len(offsets), 1))], axis=1))
     kept = 0

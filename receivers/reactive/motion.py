@@ -1,4 +1,4 @@
-"""Motion of the receiver `reactive`: collision-free actions, and the approach to the grasp."""
+"""Motion of the receiver `reactive`: actions that keep clearances, and the approach to the grasp."""
 
 from dataclasses import replace
 
@@ -24,18 +24,18 @@ from handover_marl.receivers.reactive.selector import HOME, GraspGoal, GraspSele
 Array = npt.NDArray[np.float64]
 
 IK_ITERATIONS = 8
-#: Weight of rotations where the arm follows a moving object (m/rad).
+#: Weight of rotations relative to translations where the arm follows a moving object (m/rad).
 ROTATION_WEIGHT = 0.1
-# Region before a grasp from which the gripper moves in a straight line relative to the object: axial distance beyond
-# the standoff, lateral distance (m) and rotation error (rad). Axial distances are along the gripper's approach axis.
+# Region before a grasp in which the gripper moves straight to the grasp: maximum axial distance beyond the standoff,
+# lateral distance (m) and rotation error (rad). Axial distances are along the gripper's approach axis.
 _STRAIGHT_MARGIN, _STRAIGHT_LATERAL, _STRAIGHT_ROTATION = 0.05, 0.06, 0.5
-# Region around the selected grasp in which no other is selected (m, m, rad), and lateral distance within which, at less
-# than half of that axial distance, the object is between the fingers (m): the gripper then does not go back to align.
+# Region around the selected grasp in which no other is selected: axial and lateral distance (m), rotation error (rad).
+# Within half of this axial distance and the last, lateral distance (m), the gripper does not go back to align itself.
 _COMMIT_DISTANCE, _COMMIT_LATERAL, _COMMIT_ROTATION, _ENCLOSED_LATERAL = 0.06, 0.03, 0.3, 0.015
-# Increase of the lateral and rotation tolerances per axial meter before the grasp (1, rad/m).
+# Increase of the lateral (1) and rotation tolerances (rad/m) per meter of axial distance from the grasp.
 _LATERAL_FUNNEL, _ROTATION_FUNNEL = 0.3, 1.0
-# Gain on the remaining joint error (1/s), maximum joint speed in addition to the one that follows the object (rad/s),
-# and maximum change of the seed of inverse kinematics towards the selected configuration (rad).
+# Gain on the remaining joint error (1/s), maximum joint speed that it causes (rad/s), and maximum change of the seed of
+# inverse kinematics from the present configuration towards the selected one (rad).
 _POSITION_GAIN, _MAX_JOINT_SPEED, _MAX_POSTURE_CHANGE = 20.0, 1.3, 0.05
 # Axial distance from the grasp at which the fingers close (m), and deceleration before the grasp (m/s^2).
 _AXIAL_TOLERANCE, _DECELERATION = 0.006, 2.0
@@ -68,7 +68,7 @@ class MotionController:
         return self.move_open(self.servo.compute_goal_velocity(self.scene.arm_joints, HOME))
 
     def search(self) -> Action:
-        """Return the action towards the configuration from which to look for grasps, clear of the person's hand."""
+        """Return the action towards the configuration of `SceneEstimate.plan_search`, clear of the person's hand."""
         velocity = self.servo.compute_goal_velocity(self.scene.arm_joints, self.scene.plan_search())
         return self.move_open(self._separate(velocity, self._config.hand_clearance))
 
@@ -80,8 +80,8 @@ class MotionController:
     def approach(self, velocity: Array) -> Action:
         """Return the action of the final approach with joint velocities (7,) (rad/s), clear of the person's hand.
 
-        The fingers are open. The required clearances to the person's hand and to other objects are smaller than on the
-        way to the standoff, and none is required to the object to grasp.
+        The fingers are open. The clearances to the person's hand and to other objects are smaller than on the way to
+        the standoff, and the gripper may touch the object to grasp.
         """
         config = replace(
             self._config,
@@ -96,7 +96,7 @@ class MotionController:
         return self.move_closed(self._separate(velocity, self._config.hand_clearance, leaving=True))
 
     def catch(self, velocity: Array, acceleration: float) -> Action:
-        """Return the action with joint velocities (7,) (rad/s) and closing fingers that catches a falling object.
+        """Return the action that catches a falling object, with joint velocities (7,) (rad/s) and closing fingers.
 
         The action keeps clear of the person's hand; `acceleration` is the maximum joint acceleration (rad/s^2).
         """
@@ -149,14 +149,14 @@ class MotionController:
 
 
 class ApproachController:
-    """Controller that approaches selected grasps until the fingers may close.
+    """Controller of the approach to the selected grasp, until the fingers may close.
 
     Args:
         motion: Controller that converts joint velocities to actions.
         selector: Grasp selector.
 
     Attributes:
-        is_near: Whether the gripper is close enough to the grasp to move to it in a straight line.
+        is_near: Whether the gripper is near enough to move straight to the grasp.
     """
 
     def __init__(self, motion: MotionController, selector: GraspSelector) -> None:
@@ -168,7 +168,7 @@ class ApproachController:
         self._last_position, self._last_position_at = np.zeros(3), -np.inf
 
     def step(self) -> Action | GraspGoal:
-        """Return the next action, or the grasp at which the fingers close now; move home if no grasp is suitable."""
+        """Return the next action, or the grasp if the fingers close now; search if no grasp is suitable."""
         goal = self._select_goal()
         if goal is None:
             self.is_near = False
@@ -196,12 +196,12 @@ class ApproachController:
         return self._approach_straight(goal, self._compute_next_depth(axial, lateral, rotation))
 
     def is_catchable(self, goal: GraspGoal) -> bool:
-        """Return whether the gripper is within 2 cm of a grasp, so that its fingers may catch the object."""
+        """Return whether the gripper is within 2 cm of a grasp, near enough to catch a falling object."""
         error = self._selector.compute_pose_in_grasp(goal, self._scene.object_pose, self._scene.gripper_pose)
         return float(np.linalg.norm(error[:3])) < _CATCH_DISTANCE
 
     def _compute_object_speed(self, position: Array) -> float:
-        """Return the object's speed (m/s): relative to the gripper if held almost still in the air, else in the world.
+        """Return the object's speed (m/s): relative to the gripper if it is held and moves slowly, else in the world.
 
         The gripper is now at `position` (3,) in the grasp's frame (m).
         """

@@ -12,7 +12,7 @@ from handover_marl.receivers.reactive.scene_estimate import PoseSceneEstimate
 
 
 class ReactiveReceiver(ControllerReceiver):
-    """Receiver that moves with the person, based on the true poses of object and hand.
+    """Receiver that follows the moving object; it uses the true poses of object and hand.
 
     While the person lifts the object, the gripper moves to a standoff in front of a grasp at the predicted handover
     pose. It approaches the grasp in a straight line relative to the moving object, closes the fingers, backs out and
@@ -23,7 +23,7 @@ class ReactiveReceiver(ControllerReceiver):
         wait: Time at the waiting pose (s).
         risk: Trade-off between success rate (0) and speed (1).
         config: Configuration of the receiver for a risk of 0.5.
-        options: Numbers of the configuration, such as `approach_standoff=0.1`, which are set after `risk` is applied;
+        options: Numbers of the configuration, such as `approach_standoff=0.1`. They are set after `risk` is applied;
             see `override_options`.
     """
 

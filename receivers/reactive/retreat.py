@@ -24,24 +24,24 @@ Array = npt.NDArray[np.float64]
 _DIRECTIONS = np.array(
     [np.array(axes) / np.linalg.norm(axes) for axes in itertools.product((-1, 0, 1), repeat=3) if any(axes)]
 )
-# Shares of the rotation to the waiting pose with which end poses are tried.
+# End poses are tried with these shares of the rotation to the waiting pose.
 _ROTATION_SHARES = (0.0, 0.25, 0.5, 1.0)
 # Shares of the path at which clearances are checked.
 _CHECKED_SHARES = np.array([0.35, 0.7, 1.0])
-# Shares at which clearances to other objects, which may be narrow, are checked.
+# Shares of the path at which clearances to other objects are checked; these may be narrow.
 _OBSTACLE_SHARES = np.linspace(0.1, 1.0, 10)
-# Length of the straight path out of the person's hand, during which the motion turns gradually towards the goal, and
-# maximum distance of the hand link's final position from the goal (m).
+# Length of the straight path out of the person's hand (m); the motion turns gradually towards the goal on it. Maximum
+# distance of the hand link's final position from the goal (m).
 _BACKOUT_DISTANCE, _GOAL_RADIUS = 0.05, 0.12
 #: Desired clearance to the person's hand on the path to the goal (m).
 DESIRED_CLEARANCE = 0.02
-# Gain (1/s) and weight (m/rad) of rotations on the straight path out of the hand, and maximum time on it (s).
+# Gain (1/s) and weight (m/rad) of rotations on the straight path out of the hand, and maximum time on this path (s).
 _ROTATION_GAIN, _ROTATION_WEIGHT, _BACKOUT_TIMEOUT = 2.0, 0.1, 0.4
 # Number of final configurations whose paths are checked, and minimum joint difference of a new final configuration from
 # all previous ones (rad).
 _MAX_PATH_CHECKS, _MIN_JOINT_DIFFERENCE = 40, 0.5
-# Time without progress after which another final configuration is selected (s), joint error of one that is reached
-# (rad), and share of its last value below which the remaining joint error counts as progress.
+# Time without progress after which another final configuration is selected (s), and joint error at which one is reached
+# (rad). The remaining joint error must fall below this share of its last value to count as progress.
 _STALL_TIMEOUT, _JOINT_TOLERANCE, _PROGRESS_RATIO = 0.6, 0.05, 0.95
 # Radii of base column, upper arm and forearm, around the lines between base, shoulder, elbow and wrist (m).
 _LINK_RADII = np.array([0.1, 0.09, 0.075])
@@ -87,9 +87,9 @@ class RetreatController:
         self._started_at: float | None = None
 
     def compute_velocity(self, time: float, joints: Array, gripper_pose: Array) -> Array:
-        """Return the joint velocities (7,) in rad/s that continue the retreat at a time (s), for the next period.
+        """Return the joint velocities (7,) in rad/s of the next control period, at a time (s) of the episode.
 
-        The arm is at joints (7,) (rad), and the hand link at the world pose (7,) (quaternion xyzw) `gripper_pose`.
+        The arm is at joints (7,) (rad); `gripper_pose` (7,) is the hand link's world pose (quaternion xyzw).
         """
         if self._end is None or self._is_stalled(time, float(np.abs(joints - self._end).max())):
             if self._end is not None:
@@ -115,10 +115,10 @@ class RetreatController:
         return time - self._remaining_at > _STALL_TIMEOUT
 
     def _select_end(self, joints: Array, gripper_pose: Array) -> Array:
-        """Return a configuration (7,) (rad) with the hand link near the goal that is reached soon, if possible clear.
+        """Return a configuration (7,) (rad) with the hand link near the goal, to which the path is clear and short.
 
-        Of the paths that are clear of the arm itself, paths clear of other objects, and of these, paths clear of the
-        person's hand are preferred, then the fastest. If no path is clear of the arm, the fastest of all is returned.
+        The path must be clear of the arm itself; if none is, the fastest of all is chosen. Paths clear of other objects
+        are preferred, then those clear of the person's hand, then the fastest.
         """
         ends, times = self._solve_ends(joints, gripper_pose)
         order = np.argsort(times, kind="stable")
@@ -131,7 +131,7 @@ class RetreatController:
         return np.asarray(ends[beside[0] if beside else order[0]])
 
     def _solve_ends(self, joints: Array, gripper_pose: Array) -> tuple[Array, Array]:
-        """Return configurations (n, 7) near the goal, and travel times (n,) in s, longer if unreachable or rejected."""
+        """Return configurations (n, 7) near the goal, and travel times (n,) in s, longer if unreached or rejected."""
         here = Rotation.from_quat(gripper_pose[3:])
         home = (Rotation.from_quat(self._arm.compute_hand_pose(HOME)[3:]) * here.inv()).as_rotvec()
         rotations = [(Rotation.from_rotvec(share * home) * here).as_quat() for share in _ROTATION_SHARES]
@@ -150,7 +150,7 @@ class RetreatController:
     def _is_clear_of_person(self, joints: Array, goal: Array) -> bool:
         """Return whether the gripper keeps clear of the person's hand between `joints` (7,) and `goal` (7,) in rad.
 
-        Clear means farther than `DESIRED_CLEARANCE`, or than at `joints` if the gripper is nearer there.
+        The clearance must be larger than `DESIRED_CLEARANCE`, or than the clearance at `joints` if this is smaller.
         """
         if self._person is None:
             return True

@@ -19,18 +19,18 @@ from handover_marl.receivers.reactive.config import ReactiveConfig
 
 Array = npt.NDArray[np.float64]
 
-# Factor on tolerances of the approach for an object that is held almost still in the air.
+# Factor on tolerances of the approach for a held object that moves slowly.
 _HELD_STILL_TOLERANCE_FACTOR = 2.0
-# Maximum closing speed, as a share of the finger positions, of fingers that the object blocks (1/s).
+# Maximum closing speed of fingers that the object blocks, as a share of their position per second (1/s).
 _MAX_GRIP_CLOSING_RATE = 3.0
-# Speed of an object relative to the person's hand (m/s) above which the gripper seems to push it and follows the hand.
+# Speed of the object relative to the person's hand (m/s) above which the gripper seems to push the object.
 _MAX_RELATIVE_SPEED = 0.25
 # Distance of the object from the hand link below which it is near (m), and speed above which something moves (m/s).
 _NEAR_DISTANCE, _NEAR_SPEED = 0.3, 0.1
-# Time at rest after which an object counts as settled (s). An object that was not lifted counts as offered after a time
-# at rest beside a still hand, from a time of the episode on; without a hand, from another time of the episode on (s).
+# Time at rest after which an object counts as settled (s). An object that was not lifted counts as offered after the
+# second time at rest beside a still hand, but not before the third; without a hand, after the fourth (s).
 _SETTLE_TIME, _STILL_TIME, _STILL_START, _NO_HAND_START = 0.2, 0.6, 1.5, 3.0
-# Maximum distances of the nearest keypoint of a hand that is beside the object, and of obstacles from the base (m).
+# Maximum distance from the object to the nearest keypoint of a hand beside it, and from the base to obstacles (m).
 _HAND_DISTANCE, _OBSTACLE_REACH = 0.15, 1.1
 # Smallest divisor of the closing speed, and finger position below which the fingers hold nothing (m).
 _MIN_OPENING, _EMPTY_FINGER_POSITION = 1e-4, 0.0015
@@ -63,14 +63,14 @@ class SceneEstimate(ABC):
         self.motion, self.person = HandoverPosePredictor(config.prediction), person
 
     def update_robot(self, observation: Observation) -> None:
-        """Update time, joints and hand link pose of the robot from an observation, not object and person's hand."""
+        """Update time, joints and hand link pose of the robot from an observation, but neither object nor hand."""
         joints = observation["robot_joint_position"].astype(np.float64)
         self.time = round(float(observation["time"][0]), 3)
         self.arm_joints, self.fingers = joints[:ARM_DOF], joints[ARM_DOF:]
         self.gripper_pose = self._arm.compute_hand_pose(self.arm_joints)
 
     def set_obstacles(self, spheres: Spheres) -> None:
-        """Set `obstacles` to the spheres, given in the world, that are within reach of the arm."""
+        """Set `obstacles` to those of the spheres (world frame) that are within reach of the arm."""
         reachable = spheres.select_within(self._arm.base[:3], _OBSTACLE_REACH)
         self.obstacles = reachable if len(reachable.radii) else None
 
@@ -82,16 +82,16 @@ class SceneEstimate(ABC):
         """
 
     def predict_point_twist(self, point: Array, ahead: float) -> tuple[Array, Array]:
-        """Predict linear (m/s) and angular velocity (rad/s) of a point (3,) that moves with the object, in the world.
+        """Predict linear (m/s) and angular velocity (rad/s), world frame, of a point (3,) that moves with the object.
 
         The velocities are predicted for the middle of the coming control period, `ahead` (s) long.
         """
         return self.motion.predict_point_twist(point, ahead)
 
     def predict_bodies(self, handover_pose: Array, surface: Spheres) -> Spheres:
-        """Return spheres in the world: object and person's hand, both moved to a handover pose, and other objects.
+        """Return spheres in the world: those of object and person's hand at the handover pose, and of other objects.
 
-        The handover pose (7,) (quaternion xyzw) is the object's in the world; `surface` is in the object's frame.
+        `handover_pose` (7,) is the object's world pose (quaternion xyzw) then; `surface` is in the object's frame.
         """
         human_hand = self.person.spheres
         bodies = [Spheres(transform_points(handover_pose, surface.centers), surface.radii)]
@@ -137,7 +137,7 @@ class SceneEstimate(ABC):
 
     @property
     def is_offered(self) -> bool:
-        """Whether the person has lifted the object or left it by a still hand; without a hand, whether 3 s passed."""
+        """Whether the object was lifted or rests beside a still hand; without a hand, whether 3 s have passed."""
         config, person = self.config, self.person
         if person.spheres is None:
             return self.time > _NO_HAND_START
@@ -161,7 +161,7 @@ class SceneEstimate(ABC):
 
     @property
     def tolerance_factor(self) -> float:
-        """Factor on tolerances of the approach: above 1 for a slowly moving object in the air, else 1."""
+        """Factor on tolerances of the approach: 2 for a held object that moves slowly, else 1."""
         is_moving = self.motion.is_held_still and self.motion.rest_time == 0.0
         return _HELD_STILL_TOLERANCE_FACTOR if is_moving else 1.0
 
@@ -211,7 +211,7 @@ class PoseSceneEstimate(SceneEstimate):
         return self._is_released
 
     def predict_point_twist(self, point: Array, ahead: float) -> tuple[Array, Array]:
-        """Predict the twist as the base class does, or return the hand's velocity if the gripper pushes the object."""
+        """Predict the twist as in the base class; if the gripper pushes the object, return the hand's velocity."""
         relative = self.motion.latest_velocity - self.person.velocity
         is_held = self.person.spheres is not None and not self._is_released
         if is_held and float(np.linalg.norm(relative)) > _MAX_RELATIVE_SPEED:
@@ -230,7 +230,7 @@ class PoseSceneEstimate(SceneEstimate):
         return self._closing_rate < _MAX_GRIP_CLOSING_RATE
 
     def _update_obstacles(self, observation: Observation) -> None:
-        """Set `obstacles` to the objects besides the first one, which is handed over, at their observed poses."""
+        """Set `obstacles` to all objects but the first one, which is handed over, at their observed poses."""
         others = np.flatnonzero(observation["object_mask"][1:]) + 1
         if not len(others):
             return

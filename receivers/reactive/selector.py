@@ -1,4 +1,4 @@
-"""Selection of the grasp that the receiver `reactive` approaches, and of the path to it."""
+"""Selection of a grasp and of the path to this grasp, for the receivers `reactive` and `vision`."""
 
 from dataclasses import dataclass, replace
 
@@ -27,7 +27,7 @@ from handover_marl.receivers.reactive.scene_estimate import SceneEstimate
 Array = npt.NDArray[np.float64]
 
 HOME = np.array(WAITING_JOINTS[:7])
-#: Configurations at which inverse kinematics starts, chosen greedily so that together they lead to most of the poses
+#: Configurations at which inverse kinematics starts. They were chosen greedily to find solutions for most of the poses
 #: that the arm reaches quickly from its waiting pose.
 IK_SEEDS = np.array(
     [
@@ -36,7 +36,7 @@ IK_SEEDS = np.array(
         (0.276, 0.693, 0.397, -2.782, 1.358, 2.557, -0.02),
     ]
 )
-#: Further configurations that are used where none of `IK_SEEDS` has led to a grasp.
+#: Further start configurations, used after a decision in which `IK_SEEDS` led to no reachable grasp.
 FALLBACK_IK_SEEDS = np.array(
     [
         (0.641, -1.612, -0.197, -2.53, -0.095, 1.678, 0.587),
@@ -49,25 +49,25 @@ FALLBACK_IK_SEEDS = np.array(
 )
 _STANDOFF_ITERATIONS, _GRASP_ITERATIONS = 12, 6
 _NO_HAND_CLEARANCE = 0.2  # m
-# Costs, in seconds as the travel time of the arm: of rotating the hand link from its waiting pose (s/rad), of missing
-# clearance to other objects (s/m), of missing distance to joint limits (s/rad), of a path that is not clear (s), and of
-# a grasp that has failed in this episode (s).
+# Costs that are added to the travel time of the arm: for rotating the hand link from its waiting pose (s/rad), missing
+# clearance to other objects (s/m), missing distance to joint limits (s/rad), a path that is not clear (s), and a grasp
+# that has failed in this episode (s).
 _ROTATION_COST, _OBSTACLE_COST, _LIMIT_MARGIN_COST, _BLOCKED_PATH_COST, _FAILED_COST = 0.5, 100.0, 2.0, 2.0, 10.0
 _DESIRED_OBSTACLE_CLEARANCE, _DESIRED_LIMIT_MARGIN = 0.02, 0.3  # m, rad
-# Minimum clearances (m): of gripper and arm to the table, of forearm and wrist to hand and object, and on paths.
+# Minimum clearances (m): of gripper and arm to the table, of forearm and wrist to all bodies, and on paths.
 _TABLE_CLEARANCE, _ARM_CLEARANCE, _PATH_CLEARANCE = 0.005, 0.005, 0.01
-# Rate at which the minimum clearance to the hand decreases while no grasp satisfies it (m/s), and factor on it while
-# grasps exist that are out of reach.
+# Rate at which the minimum clearance to the hand decreases while no grasp satisfies it (m/s), and factor on this rate
+# while some grasps satisfy it but none is in reach.
 _CLEARANCE_RELAXATION, _UNREACHABLE_RELAXATION = 0.01, 0.3
-# Hold cost above which a selected grasp does not count as good (s), and factor on the number of candidates once offset
-# grasps are added.
+# Hold cost above which a grasp counts as poor (s), and factor on the maximum number of candidates after offset grasps
+# were added.
 _POOR_HOLD_COST, _OFFSET_CANDIDATE_FACTOR = 1.5, 4
 # Maximum numbers of paths and via points that are checked in a decision, and maximum joint change between standoff and
 # grasp (rad).
 _MAX_PATH_CHECKS, _MAX_VIA_POINTS, _MAX_JOINT_CHANGE = 6, 24, 0.8
-# Cost difference above which another grasp replaces the selected one, and its increase if the gripper is near it (s).
+# Cost difference above which another grasp replaces the selected one, and its increase near the selected one (s).
 _SWITCH_MARGIN, _NEAR_SWITCH_MARGIN = 0.3, 0.5
-# Cost that no sum of other costs reaches: the grasp must not be selected (s).
+# Cost of a grasp that must not be selected (s); sums of all other costs are lower.
 _FORBIDDEN = 100.0
 # After this many batches of candidates without a reachable one, only every tenth decision searches.
 _MAX_BATCHES, _RARE_SEARCH_PERIOD = 40, 10
@@ -83,7 +83,7 @@ class GraspGoal:
         number: Index of the grasp among the candidates.
         standoff_joints: (7,) configuration of the arm at the standoff (rad).
         grasp_joints: (7,) configuration of the arm at the grasp (rad).
-        via_joints: (7,) via point (rad) around an obstacle on the straight joint path to the standoff, None if none.
+        via_joints: (7,) via point of the joint path to the standoff around an obstacle (rad); None: straight path.
     """
 
     number: int
@@ -93,7 +93,7 @@ class GraspGoal:
 
 
 class GraspSelector:
-    """Selector of the cheapest reachable grasp; another one must be clearly cheaper to replace it (hysteresis).
+    """Selector of the cheapest reachable grasp. The selection changes only to a clearly cheaper one (hysteresis).
 
     Args:
         arm: Kinematics of the arm.
@@ -126,7 +126,7 @@ class GraspSelector:
         self._has_offsets = False
 
     def set_object(self, graspable: GraspableObject) -> None:
-        """Replace the candidates by an object's grasps and their half turns about the approach axis; reset failures."""
+        """Reset the selector; set the candidates to an object's grasps and their half turns about the approach axis."""
         self.reset()
         self._object, self.surface = graspable, graspable.surface
         self._add(graspable.grasps, graspable.pad_margins, 0.0)
@@ -152,9 +152,9 @@ class GraspSelector:
         self.chosen = None
 
     def select(self, scene: SceneEstimate, is_near: bool = False) -> GraspGoal | None:
-        """Return the grasp to approach, the previous one unless another is clearly cheaper; None if all are unsuitable.
+        """Return the grasp to approach: the previous one unless another is clearly cheaper; None if all are unsuitable.
 
-        If the gripper `is_near` the previous grasp, the cost of another one must be lower by a larger margin.
+        If the gripper `is_near` the previous grasp, another one must be cheaper by a larger margin.
         """
         self._add_offset_grasps(scene)
         if self._has_offsets and self._batch > _MAX_BATCHES and self._batch % _RARE_SEARCH_PERIOD:
@@ -186,7 +186,7 @@ class GraspSelector:
         return self.chosen
 
     def compute_grasp_pose(self, goal: GraspGoal, object_pose: Array) -> Array:
-        """Return the hand link's world pose (7,) at a grasp of an object at a world pose (7,), quaternions xyzw."""
+        """Return the hand link's world pose (7,) at a grasp, given the object's world pose (7,); quaternions xyzw."""
         return np.asarray(compose(object_pose, self.grasps[goal.number]))
 
     def compute_standoff_pose(self, grasp_pose: Array) -> Array:
@@ -194,7 +194,7 @@ class GraspSelector:
         return np.asarray(compose(grasp_pose, self._grasp_from_standoff))
 
     def compute_pose_in_grasp(self, goal: GraspGoal, object_pose: Array, gripper_pose: Array) -> Array:
-        """Return the hand link's pose (7,) in a grasp's frame from world poses of object and hand link (all xyzw)."""
+        """Return the hand link's pose (7,) in a grasp's frame, given world poses of object and hand link (all xyzw)."""
         return np.asarray(compose(invert_pose(self.compute_grasp_pose(goal, object_pose)), gripper_pose))
 
     def _add(self, grasps: ValidatedGrasps, pad_margins: Array, cost: float) -> None:
@@ -254,7 +254,7 @@ class GraspSelector:
         return np.asarray(_OBSTACLE_COST * missing)
 
     def _select_candidates(self, costs: Array) -> Indices:
-        """Return the indices of the cheapest grasps, or after a failed search of the next ones, and of `chosen`."""
+        """Return the indices of the cheapest grasps (after failed searches: the next ones) and of the selected one."""
         order = np.argsort(costs, kind="stable")
         order = order[costs[order] < _FORBIDDEN]
         count = self._config.max_candidates * (_OFFSET_CANDIDATE_FACTOR if self._has_offsets else 1)
@@ -266,7 +266,7 @@ class GraspSelector:
     def _compute_costs(self, rough: Array, world: Array, joints: Array, bodies: Spheres) -> tuple[Array, Array, Array]:
         """Return costs (k,) in s of k grasps, without path costs, and arm joints (k, 7) at standoffs and at grasps.
 
-        `rough` (k,) are costs before inverse kinematics, `world` (k, 7) world poses of grasps, `joints` (7,) the arm's.
+        `rough` (k,) are costs before inverse kinematics, `world` (k, 7) world poses of grasps; the arm is at `joints`.
         """
         # The previous solution is a seed, so that one from a fallback seed is not lost again.
         previous = None if self.chosen is None else self.chosen.standoff_joints
@@ -284,8 +284,8 @@ class GraspSelector:
         """Solve inverse kinematics of grasps (n, 7) of the hand link and their standoffs from several seeds.
 
         For each grasp, the solution that the arm at `joints` reaches soonest is returned: configurations (n, 7)
-        in rad at the standoffs and at the grasps, and a mask (n,) of grasps with a solution. Searches also start at
-        the `previous` configuration, unless None, and if `use_fallback` at `FALLBACK_IK_SEEDS`.
+        in rad at the standoffs and at the grasps, and a mask (n,) of grasps with a solution. Seeds are `IK_SEEDS`, the
+        configuration `previous` unless None, and with `use_fallback` also `FALLBACK_IK_SEEDS`.
         """
         seeds = np.concatenate([IK_SEEDS, FALLBACK_IK_SEEDS]) if use_fallback else IK_SEEDS
         if previous is not None:
