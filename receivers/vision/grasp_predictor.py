@@ -12,9 +12,9 @@ from handover_marl.geometry.panda import PAD_DISTANCE
 
 Array = npt.NDArray[np.float64]
 
-#: Numbers of points of the object and of the person's hand in the input of the network.
+#: Numbers of object points and of hand points in the input of the network.
 N_OBJECT_POINTS, N_HAND_POINTS = 256, 64
-# Number of the object's points at which grasps are predicted.
+# Number of object points at which the network predicts a grasp.
 _N_GRASPS = 96
 
 
@@ -33,8 +33,8 @@ class GraspPrediction:
     center: Array
 
 
-#: Function that predicts grasps from points of the object (n, 3) and of the person's hand (m, 3), the object's velocity
-#: (3,), all in the hand link's frame (m, m/s), and a random generator.
+#: Function that predicts grasps from four arguments: object points (n, 3), points of the person's hand (m, 3) and the
+#: object's velocity (3,), in the hand link's frame (m, m/s), and a random generator.
 GraspPredictor = Callable[[Array, Array, Array, np.random.Generator], GraspPrediction]
 
 
@@ -68,7 +68,7 @@ def load_grasp_predictor(weights: str | Path) -> tuple[GraspPredictor, str]:
 def sample_points(
     object_points: npt.NDArray[np.floating], hand_points: npt.NDArray[np.floating], rng: np.random.Generator
 ) -> tuple[npt.NDArray[np.floating], Array, int]:
-    """Draw 256 points of an object (n, 3), repeated if there are fewer, and at most 64 of a person's hand (m, 3).
+    """Draw 256 of n object points, repeated if n is smaller, and at most 64 of m points of the person's hand.
 
     Returns:
         Points (256, 3) of the object, points (64, 3) of the hand, padded with zeros, and the number of the hand's

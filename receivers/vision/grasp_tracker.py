@@ -17,11 +17,11 @@ Array = npt.NDArray[np.float64]
 
 
 class FilterGains(NamedTuple):
-    """Filter gains with which a new camera view corrects the estimates of object and grasp.
+    """Filter gains with which a new camera view corrects the object's motion and the selected grasp.
 
     Attributes:
         position: Share of the error of the predicted object position that is added to the position.
-        velocity: Share of the position error per time step that is added to the velocity.
+        velocity: Share of this error, divided by the time step, that is added to the velocity.
         grasp: Weight of newly predicted grasps in the update of the selected grasp, 0 to 1.
     """
 
@@ -30,42 +30,42 @@ class FilterGains(NamedTuple):
     grasp: float
 
 
-# Numbers of points that are matched and that a keyframe keeps, iterations of the registration,
-# share of the closest matches that are used, and number of matches below which it fails.
+# Registration: number of matched points, number of points in a keyframe, number of iterations, share of the closest
+# matches that is used, and number of matches below which the registration fails.
 _N_MATCHED, _N_KEPT, _N_ITERATIONS, _TRIM_RATIO, _MIN_MATCHES = 200, 500, 4, 0.8, 20
 # Number of neighbors of a point that define its surface normal.
 _N_NEIGHBORS = 8
-# Relative regularization: directions that the surface does not constrain are not corrected.
+# Relative regularization of the registration, which leaves unconstrained directions uncorrected.
 _REGULARIZATION = 0.01
 # Smallest number of object points in a view, below which the object counts as not visible; time without a view after
 # which the tracker is reset at the next view (s).
 _MIN_POINTS, LOST_TIMEOUT = 20, 0.12
 # Candidates: maximum number, minimum predicted quality q, and factor on their cost -log(q) (s).
 _MAX_GRASPS, _MIN_QUALITY, COST_SCALE = 48, 0.02, 3.0
-# Rotations about the line between the pads (rad) of copies that are added if no candidate is suitable; their cost (s).
+# Copies that are added if no candidate is suitable: rotations about the line between the pads (rad), and cost (s).
 _TILTS, _TILT_COST = (-0.35, 0.35, -0.7, 0.7), 1.5
-# Distance below which two grasps count as the same (m), with the weight of rotations (m/rad); costs of the selected
-# grasp in each view in which it is not predicted, and of a grasp that has failed (s).
+# Distance below which two grasps count as the same (m), weight of rotations in this distance (m/rad), cost added to the
+# selected grasp by each view in which it is not predicted (s), and cost of a grasp that has failed (s).
 _SAME_DISTANCE, _ROTATION_WEIGHT, _UNSEEN_COST, _FAILED_COST = 0.03, 0.06, 0.1, 10.0
-# Filter gains while the object is far from the gripper; while it is closer than _NEAR_DISTANCE (m); and while the
-# selected grasp is closer than _FINAL_DISTANCE (m). A near object hides the hand, so the maps then keep old points.
+# Filter gains while the object is far from the gripper, closer than _NEAR_DISTANCE (m), or the selected grasp is closer
+# than _FINAL_DISTANCE (m). Near objects hide the person's hand, so the maps keep old points while the object is near.
 _FAR_GAINS, _NEAR_GAINS = FilterGains(0.5, 0.1, 0.4), FilterGains(0.9, 0.1, 0.1)
 _FINAL_GAINS = FilterGains(0.9, 0.1, 0.02)
 _NEAR_DISTANCE, _FINAL_DISTANCE = 0.3, 0.07
-# Registration: maximum distance of matched points (m), shares of matched points below which it has failed and below
-# which a new keyframe is taken, and distance from the predicted center beyond which another body is tracked (m).
+# Registration: maximum distance of matched points (m), share of matched points below which it has failed, share below
+# which a new keyframe is taken, and distance from the predicted center beyond which it has found another body (m).
 _MAX_MATCH_DISTANCE, _MIN_MATCHED_SHARE, _KEYFRAME_SHARE, _MAX_CENTER_ERROR = 0.03, 0.3, 0.6, 0.05
-# Speed below which the object counts as at rest (m/s), and share of its velocity that is lost in a view without it.
+# Speed below which the object counts as at rest (m/s), and share of its velocity lost in each view without the object.
 _REST_SPEED, _VELOCITY_DECAY = 0.04, 0.4
 # Radius of the spheres at points (m), edge length of the voxels that keep one point each (m), and times after which
-# points are removed (s), shorter for the object, which rotates while it is lifted.
+# points of hand and object are removed (s); the second is shorter, since the object rotates while it is lifted.
 _SPHERE_RADIUS, _VOXEL_SIZE, _HAND_MEMORY, _OBJECT_MEMORY = 0.01, 0.012, 1.5, 0.4
-# Sum of votes on a voxel below which they are forgotten.
+# Absolute sum of votes below which a voxel is forgotten.
 _MIN_VOTES = 0.01
 # Open fingers in the hand link's frame (m), which close along y and approach along z: sides, half width along x, tip.
 _INNER_Y, _OUTER_Y, _HALF_WIDTH, _TIP_Z = 0.039, 0.056, 0.01, 0.112
-# Finger collisions: number of points that are checked, shifts that are tried, the smallest first (m), costs of a shift
-# and of the remaining penetration depth (s/m), and depth without a cost (m).
+# Finger collisions: number of checked points; tried shifts, the smallest first (m); costs of shift and of remaining
+# penetration depth (s/m); depth without a cost (m).
 _N_FINGER_POINTS, _LATERAL_SHIFTS = 400, (0.0, -0.006, 0.006, -0.012, 0.012, -0.018, 0.018)
 SHIFT_COST, COLLISION_COST, _FREE_DEPTH = 20.0, 60.0, 0.003
 
@@ -87,7 +87,7 @@ class VoxelMap:
         self._times = np.zeros(0)
 
     def update(self, time: float, points: Array, forget: bool) -> None:
-        """Add points (k, 3) in m relative to the object's center at a time (s); `forget` drops old ones if k > 0."""
+        """Add points (k, 3) (m) relative to the object's center at a time (s); if k > 0, `forget` drops old points."""
         if forget and len(points):
             kept = self._times > time - self._memory
             self.points, self._times = self.points[kept], self._times[kept]
@@ -97,7 +97,7 @@ class VoxelMap:
 
 
 class LabelVotes:
-    """Votes of recent views on which voxels around the object show it, and which show the person's hand.
+    """Votes of recent views on whether a voxel shows the object or the person's hand.
 
     Args:
         voxel_size: Edge length of the voxels (m).
@@ -109,10 +109,10 @@ class LabelVotes:
         self._voxels, self._votes, self._time = np.zeros((0, 3), dtype=np.int64), np.zeros(0), 0.0
 
     def update(self, time: float, points: Array, is_hand: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-        """Add the votes of a view at a time (s); return which of its points show the hand by all votes.
+        """Add the votes of a view at a time (s); return a mask (n,) of its points that show the hand by all votes.
 
-        Points (n, 3) of object and hand are relative to the object's center (m); the view takes those with `is_hand`
-        (n,) for the hand. Each voxel has one vote per view, the mean of its points.
+        Points (n, 3) of object and hand are relative to the object's center (m); `is_hand` (n,) is the view's own label
+        of each point. A view's vote on a voxel is the mean of the labels of its points there.
         """
         own, places = np.unique(np.floor(points / self._voxel_size).astype(np.int64), axis=0, return_inverse=True)
         places = places.reshape(-1)  # NumPy 2.0 returns (n, 1)
@@ -141,7 +141,7 @@ class PositionFilter:
         self._time = 0.0
 
     def update(self, time: float, position: Array, gains: FilterGains) -> None:
-        """Update position and velocity by a measured position (3,) in m, with filter gains, at a time (s)."""
+        """Correct the estimate with a position (3,) (m) that was measured at a time (s), by filter gains."""
         if not self.is_known:
             self.is_known, self.position = True, position.copy()
         elif time > self._time:
@@ -164,7 +164,7 @@ class PositionFilter:
 
 
 class Keyframe:
-    """Point cloud to which later point clouds are registered, so that errors do not accumulate.
+    """Point cloud to which later ones are registered, so that tracking errors do not accumulate.
 
     Args:
         points: (k, 3) points relative to the object's center (m).
@@ -204,16 +204,16 @@ class GraspTracker:
 
     Args:
         predict: Function that predicts grasps from a point cloud.
-        seed: Seed of the points that are sampled for the prediction.
+        seed: Seed of the random selection of points for the predictions.
 
     Attributes:
         position: Filter that estimates the object's center in the world.
-        grasps: (n, 7) candidate poses (quaternion xyzw) of the hand link relative to the object's center; the
-            first is the selected one, if any.
+        grasps: (n, 7) candidate poses (quaternion xyzw) of the hand link relative to the object's center, in world
+            orientation; the first is the selected one, if any.
         costs: (n,) costs of the candidates (s).
         surface: Spheres at the visible part of the object, relative to its center.
-        human_hand: Spheres at remembered points of the person's hand in the world, or None before any was visible.
-        selected: (7,) grasp that is tracked, relative to the object's center, or None for no selection.
+        human_hand: Spheres at remembered points of the person's hand in the world, or None without such points.
+        selected: (7,) selected grasp relative to the object's center, which is tracked; None without a selection.
         use_all: Whether all predicted grasps and tilted copies of them are candidates, not only the best ones.
         lost_timeout: Time without a view of the object after which the tracker is reset at the next view (s).
     """
@@ -252,19 +252,19 @@ class GraspTracker:
         return self.position.velocity if is_moving else np.zeros(3)
 
     def compute_unseen_time(self, time: float) -> float:
-        """Return the time from the last view of the object to `time` (s), infinite before the first view."""
+        """Return the time since the object was last visible, at `time` (s); infinite if it never was."""
         return time - self._seen_at
 
     def add_failed(self, grasp: Array, until: float) -> None:
-        """Increase the cost of a grasp (7,), relative to the object's center, and of its half turn until a time (s)."""
+        """Increase the cost of a grasp (7,) relative to the object's center, and of its half turn, until a time (s)."""
         self._failed += [(grasp, until), (compose(grasp, np.array(HALF_TURN)), until)]
 
     def update(self, time: float, gripper_pose: Array, object_points: Array, hand_points: Array) -> None:
         """Update object, hand and grasp candidates from a view of the wrist camera at a time (s).
 
-        Points (n, 3) of the object and of the person's hand are in the hand link's frame (m), given by its
-        world pose (7,) (quaternion xyzw). With fewer than 20 points of the object, its motion is extrapolated and only
-        the selected grasp, if any, remains a candidate.
+        Points (n, 3) of object and person's hand are in the hand link's frame (m); `gripper_pose` (7,) is the hand
+        link's world pose (quaternion xyzw). With fewer than 20 object points, the object's motion is extrapolated,
+        and only the selected grasp, if any, remains a candidate.
         """
         if len(object_points) < _MIN_POINTS:
             self.position.coast(time)
@@ -327,8 +327,8 @@ class GraspTracker:
     ) -> None:
         """Update the object's position from a view; arguments as in `update`.
 
-        Near the object, the camera sees only a part of it, from which the network cannot predict the center well.
-        There, the visible surface is registered to a keyframe instead.
+        Near the object, the camera sees only a part of it, so the network does not predict the center well. There, the
+        visible surface is registered to a keyframe instead.
         """
         cloud = transform_points(gripper_pose, object_points)
         center = transform_points(gripper_pose, prediction.center)
@@ -396,10 +396,10 @@ class GraspTracker:
 
 
 def shift_to_avoid_collisions(grasps: Array, points: Array) -> tuple[Array, Array]:
-    """Shift grasps (n, 7) sideways, by as little as possible, to minimize the depth of finger collisions.
+    """Shift grasps (n, 7) sideways by the smallest of seven shifts that minimizes the depth of finger collisions.
 
-    Returns the shifted grasps, and the costs (n,) in s of shifts and remaining collisions. Points (k, 3) of the object
-    are in the frame of the grasps (m).
+    Return the shifted grasps, and the costs (n,) in s of shifts and remaining collisions. The object's points (k, 3)
+    (m) and the grasps (quaternion xyzw) are in the same frame.
     """
     rotations = Rotation.from_quat(grasps[:, 3:]).as_matrix() if len(grasps) else np.zeros((0, 3, 3))
     local = np.einsum("nkj,nji->nki", points[None] - grasps[:, None, :3], rotations)

@@ -1,4 +1,4 @@
-"""Segmentation of wrist camera images by neural networks, which need PyTorch, and segmented point clouds."""
+"""Segmentation of wrist camera images by neural networks (with PyTorch), and point clouds segmented by them."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -19,7 +19,7 @@ Array = npt.NDArray[np.float64]
 
 #: Observation mode of a receiver that segments the images itself.
 UNSEGMENTED = f"{RGB}+{DEPTH}+{POINT_MAP}"
-#: Labels of the classes of `SegmentationNetwork`; robot and table are background.
+#: Segmentation labels by class number of `SegmentationNetwork`; robot and table are background.
 CLASS_LABELS = np.array(
     [
         SegmentationLabel.BACKGROUND,
@@ -29,25 +29,25 @@ CLASS_LABELS = np.array(
     ],
     dtype=np.uint8,
 )
-#: Classes of `SegmentationNetwork` whose pixels its second network classifies: object and hand.
+#: Class numbers of object and hand; the network's part for points, `SegmentationNetwork.points`, separates the two.
 OBJECT_CLASS, HAND_CLASS = 1, 3
-#: Smallest number of pixels of object and hand that it classifies, and number above which only every n-th is used.
+#: Number of such pixels below which that part is not used, and number above which it gets only every n-th pixel.
 MIN_BODY_PIXELS, _MAX_BODY_PIXELS = 40, 2048
-# Largest distance of a point of the object from their median (m); points beyond it are wrongly segmented.
+# Largest distance of an object point from the median of all (m); points beyond it are removed as wrongly segmented.
 _MAX_OBJECT_RADIUS = 0.2
-# Lower and upper corner of the volume of a finger of the open gripper, in the hand link's frame with |y| (m), with a
-# margin for errors of the camera's pose; points in it show the robot.
+# Lower and upper corner of the volume of an open finger in the hand link's frame, with |y| in place of y (m), with a
+# margin for errors of the camera's pose. Points in this volume show the robot.
 _FINGER_LOWER, _FINGER_UPPER = (-0.02, 0.037, 0.0), (0.02, 0.075, 0.12)
 
-#: Function that labels pixels (h, w) by their colors (h, w, 3), depth (h, w) and points in the world (h, w, 3), and by
-#: the hand link's position (3,), in m.
+#: Function that labels pixels (h, w) from four arguments: colors (h, w, 3), depth (h, w), points in the world (h, w, 3)
+#: and position of the robot's hand link (3,), in m.
 MaskPredictor = Callable[
     [npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any]], npt.NDArray[np.uint8]
 ]
 
 
 def load_mask_predictor(weights: str | Path) -> tuple[MaskPredictor, str]:
-    """Load the segmentation network in a weight file; return its mask predictor and a short hash of the weights."""
+    """Load a segmentation network from a weight file; return its mask predictor and a short hash of the weights."""
     # Imported here since PyTorch is optional, and slow to import.
     import torch
 
@@ -85,20 +85,20 @@ def load_mask_predictor(weights: str | Path) -> tuple[MaskPredictor, str]:
 
 
 def find_body_pixels(logits: npt.NDArray[Any], depth: npt.NDArray[Any]) -> npt.NDArray[np.int64]:
-    """Return the numbers of the pixels with a depth (h, w) (m) that show object or hand by their logits (4, h, w)."""
+    """Return flat indices of the pixels with a valid depth (h, w) whose logits (4, h, w) show object or hand."""
     is_body = np.isin(logits.argmax(axis=0), (OBJECT_CLASS, HAND_CLASS)) & (depth < WRIST_CAMERA.empty_depth)
     return np.flatnonzero(is_body)
 
 
 def choose_points(available: int, count: int, rng: np.random.Generator) -> npt.NDArray[np.int64]:
-    """Return `count` random indices below `available`, in random order, which repeat only if there are fewer."""
+    """Return `count` random indices below `available` in random order; they repeat only if `available` < `count`."""
     return np.resize(rng.permutation(available), count)
 
 
 def segment_clouds(observation: Observation, world_from_hand: Array, predict: MaskPredictor) -> Observation:
-    """Return the point clouds of the mode "scene_pointcloud" for an observation of the mode `UNSEGMENTED`.
+    """Segment an observation of the mode `UNSEGMENTED`; return the point clouds of the mode "scene_pointcloud".
 
-    Of a cloud with more than 1024 points, every n-th point is kept. The hand link has the pose (7,) `world_from_hand`
+    Of a cloud with more than 1024 points, only every n-th point is kept. `world_from_hand` (7,) is the hand link's pose
     (quaternion xyzw).
     """
     points, depth = observation["wrist_point_map"], observation["wrist_depth"][..., 0]

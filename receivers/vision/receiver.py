@@ -1,8 +1,8 @@
 """Receiver `vision`, which perceives object and hand only by the wrist camera.
 
-A tracker follows object, hand and the grasp candidates that a network predicts; grasp selection and motion are as in
-`reactive`. The receiver uses neither true poses nor object models, and infers from its fingers whether the person has
-released the object.
+A network predicts grasp candidates, and a tracker follows them, the object and the hand. Grasp selection and motion are
+as in `reactive`. The receiver uses neither true poses nor object models. It infers from the motion of its fingers
+whether the person has released the object.
 """
 
 from dataclasses import replace
@@ -23,7 +23,7 @@ from handover_marl.receivers.vision.mask_predictor import UNSEGMENTED, MaskPredi
 from handover_marl.receivers.vision.scene_estimate import PointCloudSceneEstimate
 from handover_marl.receivers.vision.view_planner import ViewPlanner
 
-#: Values of `masks`: segmentation masks of the simulator, and of the network that ships.
+#: Values of `masks`: segmentation masks of the simulator, and of the shipped network.
 PERFECT, PREDICTED = "perfect", "predicted"
 _NEVER = 1e6  # s, longer than any episode
 
@@ -35,10 +35,10 @@ class VisionReceiver(ControllerReceiver):
         context: The robot and the task; models and grasps of objects are not used.
         wait: Time at the waiting pose (s).
         risk: Trade-off between success rate (0) and speed (1).
-        weights: Weight file of a grasp network; default: the file that ships for the setup, or the file of s0 for
-            setups of other data.
-        masks: Segmentation of object, hand and other objects: "perfect" from the simulator, "predicted" by the network
-            that ships, or a weight file of such a network.
+        weights: Weight file of a grasp network; default: the shipped file for the setup, or that for s0 for setups of
+            other data.
+        masks: Segmentation of object, hand and other objects: "perfect" by the simulator, "predicted" by the shipped
+            network, or the weight file of another segmentation network.
     """
 
     name = "vision"
@@ -73,7 +73,7 @@ class VisionReceiver(ControllerReceiver):
 
     @property
     def label(self) -> str:
-        """Name of the receiver, with a hash of its weights if a weight file was given."""
+        """Name of the receiver, with a hash of all weights if the option `weights` was given."""
         return self._label
 
     @property
@@ -82,7 +82,7 @@ class VisionReceiver(ControllerReceiver):
         return self._weights_hash
 
     def reset(self, seed: int | None = None) -> None:
-        """Start an episode; `seed` determines the random points that the network gets."""
+        """Start an episode; `seed` seeds the random selection of points for the grasp network."""
         tracker = GraspTracker(self._predictor, seed)
         view_planner = ViewPlanner(self.arm, self.servo.max_speeds)
         self._scene = PointCloudSceneEstimate(self.arm, self.config, tracker, view_planner, self._predict_masks)
@@ -103,7 +103,7 @@ class VisionReceiver(ControllerReceiver):
         return controller.step()
 
     def _track_selection(self, tracker: GraspTracker, is_settled: bool) -> None:
-        """Pass selected and failed grasps of the last decision to the tracker; let it add grasps if none suits."""
+        """Pass the last decision's selected and failed grasps to the tracker; let it add grasps if none suited."""
         selector = self.selector
         for number, until in selector.failed.items():
             tracker.add_failed(selector.grasps[number], until)
@@ -128,9 +128,9 @@ def _find_shipped_weights(network: str, setup: str, option: str) -> Path:
 def make_vision_reactive_config() -> ReactiveConfig:
     """Return the configuration of grasp selection and motion of the receiver `vision`.
 
-    The configuration differs from that of `reactive` for three reasons: camera images take longer than poses, predicted
-    grasp qualities include the clearance to the person's hand, and the visible part of an object near the gripper does
-    not determine its motion well enough to approach a moving object.
+    The configuration differs from that of `reactive` for three reasons. Decisions from camera images take longer.
+    Predicted grasp qualities include the clearance to the person's hand. The visible part of an object near the gripper
+    does not determine its motion well enough to approach it while it moves.
     """
     config = ReactiveConfig()
     return replace(

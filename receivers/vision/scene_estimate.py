@@ -17,23 +17,22 @@ from handover_marl.receivers.vision.view_planner import ViewPlanner
 
 Array = npt.NDArray[np.float64]
 
-#: Times out of sight after which the object is searched for (s). The second is for an object that was at rest when it
-#: was last visible: the camera may look away while the arm moves to a grasp, or around other objects.
+#: Times out of sight after which the camera searches for the object (s). The second is for an object that was at rest
+#: when it was last visible: the camera may look away while the arm moves to a grasp, or around other objects.
 SEARCH_TIMEOUT, HIDDEN_TIMEOUT = 0.25, 1.5
-# Edge length of the voxels in which views vote on predicted labels (m), and the memory of the votes (s).
+# Edge length of the voxels in which views vote on predicted labels (m), and memory of these votes (s).
 _VOTE_VOXEL_SIZE, _VOTE_MEMORY = 0.02, 0.5
-#: Edge length of the voxels that keep one point each of the other objects (m).
+#: Edge length of the voxels that each keep one point of the other objects (m).
 OBSTACLE_VOXEL_SIZE = 0.025
-# Finger motion between two decisions below which the fingers are at rest (m). The person seems to have released the
-# object after the first of these times at rest, or, if the fingers are not fully closed, after the second since they
-# began to close (s).
+# Finger motion between two decisions below which the fingers are at rest (m). If the fingers are not fully closed, the
+# person seems to have released the object after the first time at rest, or the second since they began to close (s).
 _FINGER_REST_DISTANCE, _RELEASE_DELAY, _RELEASE_TIMEOUT = 0.0004, 0.15, 0.5
 
 
 class PointCloudHandTracker(HandTracker):
     """Tracker of a person's hand, which is assumed to move with the object without rotation.
 
-    The center of the hand's visible part is not used, since it also moves with the camera.
+    The center of the hand's visible part is not used, since it also changes when the camera moves.
     """
 
     def __init__(self) -> None:
@@ -50,8 +49,8 @@ class PointCloudHandTracker(HandTracker):
     def predict_attached_pose(self, points: Array, pose: Array, ahead: float) -> Array:
         """Return the world pose (7,), `ahead` (s) from now, of a frame that moves with the person's hand.
 
-        The frame was at the world pose (7,) `pose` when `reference_points` were `points`. If the object's position is
-        unknown, `pose` is returned.
+        The frame was at the world pose `pose` (7,) (quaternion xyzw) when `reference_points` were `points`. Without an
+        object position then or now, `pose` is returned.
         """
         if not len(points) or self._object_position is None:
             return pose
@@ -72,7 +71,7 @@ class PointCloudSceneEstimate(SceneEstimate):
         config: Configuration of grasp selection and motion.
         tracker: Tracker of object, hand and grasps.
         view_planner: Planner of the views from which the camera looks at object and hand.
-        predict_masks: Predictor of the segmentation masks; by default, observations have segmented point clouds.
+        predict_masks: Predictor of the segmentation masks; None: observations have segmented point clouds.
     """
 
     def __init__(
@@ -124,9 +123,9 @@ class PointCloudSceneEstimate(SceneEstimate):
         return points[~is_hand], points[is_hand]
 
     def has_released(self, closing_since: float) -> bool:
-        """Return whether the person seems to have released the object; the fingers started closing at a time (s).
+        """Return whether the person seems to have released the object; fingers began to close at `closing_since` (s).
 
-        The object counts as released once the fingers have been at rest for 0.15 s, or are partly open after 0.5 s.
+        Fingers that are not fully closed show this when at rest for 0.15 s, or when they began to close 0.5 s ago.
         """
         if closing_since != self._closing_since:
             self._closing_since = self._moved_at = closing_since
@@ -138,19 +137,19 @@ class PointCloudSceneEstimate(SceneEstimate):
         return (is_late and not self.are_fingers_closed) or self.time - self._moved_at > _RELEASE_DELAY
 
     def _set_lost_timeouts(self) -> None:
-        """Set how long the object may be out of sight: longer if at rest, until the arm has moved to a grasp."""
+        """Set how long the object may be out of sight: longer if it is at rest, so that the arm can reach a grasp."""
         is_settled = self.is_settled
         self._search_timeout = HIDDEN_TIMEOUT if is_settled else SEARCH_TIMEOUT
         self.tracker.lost_timeout = HIDDEN_TIMEOUT if is_settled else LOST_TIMEOUT
 
     def _update_obstacles(self, points: Array) -> None:
-        """Add visible points (n, 3) of the other objects, which do not move, in the hand link's frame (m)."""
+        """Add visible points (n, 3) of the other objects, in the hand link's frame (m); these objects do not move."""
         self._obstacle_map.update(self.time, transform_points(self.gripper_pose, points), forget=False)
         centers = self._obstacle_map.points
         self.set_obstacles(Spheres(centers, np.full(len(centers), OBSTACLE_RADIUS)))
 
     def plan_search(self) -> Array:
-        """Return the configuration (7,) in rad from which the camera looks at object and hand from near."""
+        """Return the configuration (7,) in rad of a near view of object and hand; the waiting pose before any view."""
         if not self.tracker.position.is_known:
             return super().plan_search()
         human_hand = self._person.spheres
@@ -167,7 +166,7 @@ class PointCloudSceneEstimate(SceneEstimate):
 
     @property
     def has_empty_fingers(self) -> bool:
-        """Whether nothing is between the fingers: the person kept the object, or the fingers lost it."""
+        """Whether the fingers are fully closed: the person kept the object, or the fingers lost it."""
         return self.are_fingers_closed
 
     @property

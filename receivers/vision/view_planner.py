@@ -1,4 +1,4 @@
-"""Views from which the wrist camera of the receiver `vision` looks at object and hand while no grasp is suitable."""
+"""Views of object and hand that the wrist camera of the receiver `vision` takes while no grasp is suitable."""
 
 import itertools
 
@@ -19,25 +19,25 @@ from handover_marl.simulation.camera.optics import WRIST_CAMERA
 
 Array = npt.NDArray[np.float64]
 
-# Views that are tried: distances of the camera from the target (m); directions from the target to the camera, by the
-# horizontal angle from the direction of the robot's base and the elevation (rad); rotations about the viewing axis.
+# Views that are tried: distances of the camera from the target (m); directions from the target to the camera, as the
+# horizontal angle from the robot's base and the elevation (rad); rotations about the viewing axis (rad).
 _DISTANCES, _AZIMUTHS, _ELEVATIONS = (0.4, 0.5), (0.0, 0.6, -0.6, 1.2, -1.2), (0.3, 0.8, -0.2)
 _ROLLS = (0.0, 0.5 * np.pi, np.pi, 1.5 * np.pi)
 _IK_ITERATIONS, _MAX_CHECKED = 12, 64
 # Minimum clearances of gripper and arm to bodies, and to the table (m).
 _CLEARANCE, _TABLE_CLEARANCE = 0.08, 0.03
-# Cost of a direction that was tried before (s), which decreases with the angle to it (rad).
+# Cost of a view in a direction that was tried before (s), and angle between directions over which it decreases (rad).
 _TRIED_COST, _TRIED_ANGLE = 4.0, 0.5
-# Joint error at which the arm has reached a view (rad), time for which it stays there, and time after which it gives
-# up a view that it does not reach (s).
+# Joint error at which the arm has reached a view (rad), time for which it stays there (s), and largest time until the
+# next view (s).
 _REACHED_ERROR, _STAY_TIME, _GIVE_UP_TIME = 0.05, 0.4, 1.5
-# Time without a suitable grasp after which the search begins, and time between two calls after which it starts again
-# from the beginning (s).
+# Time without a suitable grasp after which the search begins (s), and time between two calls of the planner after which
+# a new search begins (s).
 _DELAY, _MAX_CALL_INTERVAL = 0.5, 0.3
 
 
 class ViewPlanner:
-    """Planner of the arm's configurations from which the wrist camera sees object and hand from near, in an episode.
+    """Planner of arm configurations in an episode from which the wrist camera has a near view of object and hand.
 
     Args:
         arm: Kinematics of the arm.
@@ -51,16 +51,16 @@ class ViewPlanner:
         self._view: Array | None = None
 
     def plan(self, time: float, joints: Array, target: Array, bodies: Spheres, can_begin: bool) -> Array:
-        """Return the configuration (7,) (rad) to move to now, at a time (s) of the episode without a suitable grasp.
+        """Return the configuration (7,) (rad) to move to now, while no grasp is suitable.
 
-        This is the waiting pose for the first 0.5 s and where no view is found, then one view after the other.
+        This is the waiting pose for the first 0.5 s and if no view is found, else one view after the other.
 
         Args:
             time: Time of the episode (s).
             joints: (7,) present configuration of the arm (rad).
             target: (3,) point that the camera looks at, in the world (m).
             bodies: Spheres in the world that arm and gripper keep clear of.
-            can_begin: Whether a search may begin; if not, the arm moves to the waiting pose unless one has begun.
+            can_begin: Whether a search may begin; otherwise the arm moves to the waiting pose, unless one has begun.
         """
         is_new = time - self._last_call > _MAX_CALL_INTERVAL
         self._last_call = time
@@ -102,7 +102,7 @@ class ViewPlanner:
         return np.asarray(views[best[0]])
 
     def _are_clear(self, views: Array, bodies: Spheres) -> npt.NDArray[np.bool_]:
-        """Return a mask (n,) of configurations (n, 7) at which arm and gripper are clear of bodies and table."""
+        """Return a mask (n,) of configurations (n, 7) (rad) in which arm and gripper are clear of bodies and table."""
         gripper = compute_open_gripper_clearances(self._arm.compute_hand_poses(views), bodies)
         clearances = np.minimum(gripper, compute_arm_clearances(self._arm, views, bodies))
         heights = compute_lowest_heights(self._arm, views) - TABLE_HEIGHT
