@@ -2,7 +2,7 @@
 
 `replay` replays the recorded human; `hesitant`, `hurried`, `noisy`, `displaced`, `recording_spread`, `tired` and
 `interrupting` vary the recording. `adaptive`, `stop_when_near`, `cooperative`, `withdrawing` and `early_release` react
-to the robot. `population` acts as a randomly drawn giver of a population in each episode. `learned:FILE` is the
+to the robot. `population` acts in each episode as a giver that is drawn from a population. `learned:FILE` acts by the
 network of a policy file. User-defined givers are subclasses of `Giver`; packages register them by name in the
 entry-point group `handover_marl.givers`.
 """
@@ -24,10 +24,10 @@ def make(policy: PolicyLike, dataset: Dataset | None = None, trust: bool = False
     """Create a giver for the robot and objects of a dataset.
 
     Args:
-        policy: Registered name, with options or a file, or a class; see `handover_marl.policies.reference`.
+        policy: Registered name (options or a file may follow) or a class; see `handover_marl.policies.reference`.
         dataset: Dataset with the robot and objects; default: the one that `open_dataset()` returns.
         trust: Whether modules that only a policy file names may be imported.
-        setup: Setup whose weights a learned policy uses; default: the first of the dataset.
+        setup: Setup whose weights a learned policy uses; default: the dataset's first setup.
 
     Raises:
         UnknownNameError: No giver of this name is registered.

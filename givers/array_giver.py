@@ -1,4 +1,4 @@
-"""Base class of the library's givers, which act in one episode or in many, on arrays with the episode as first axis."""
+"""Base class of the library's givers, which compute the actions of one or many episodes in arrays (episode, ...)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
@@ -23,26 +23,26 @@ class NoConfig(CheckedConfig):
 
 
 class ArrayGiver(ArrayPolicy, Giver):
-    """Base class of givers whose state is in arrays (n, ...), with one row for each of the n episodes they act in.
+    """Base class of givers that keep their state in arrays (n, ...), with one row for each of n episodes.
 
-    Subclasses define `decide`, `initial_state` if they keep a state, and `start` if they draw a part of it.
+    Subclasses define `decide`, `initial_state` if they keep a state, and `start` if a part of the state is random.
 
     Args:
         context: Robot and task.
         options: Numbers of the configuration that differ from its defaults.
 
     Attributes:
-        config: Configuration; default: the configuration of the class.
+        config: Configuration: the default of the class, changed by `options`.
         state: Arrays (n, ...) of the episodes' state by name.
         rngs: Random generator of each episode.
-        arrays: Creator of the arrays.
+        arrays: Factory of the arrays.
 
     Raises:
         OptionError: An option does not exist, or its value is out of range.
     """
 
     config: Any = NoConfig()
-    #: Numbers, truth values or vectors (k,) with which the state of each episode starts, by name.
+    #: Initial state of each episode: numbers, booleans or vectors (k,) by name.
     initial_state: ClassVar[Mapping[str, float | tuple[float, ...]]] = {}
 
     def __init__(self, context: PolicyContext | None = None, **options: float) -> None:
@@ -56,29 +56,29 @@ class ArrayGiver(ArrayPolicy, Giver):
         self.allocate(1, NUMPY_ARRAYS)
 
     def allocate(self, count: int, arrays: ArrayFactory) -> None:
-        """Create the state of `count` episodes, in arrays that `arrays` creates."""
+        """Create the state of `count` episodes in arrays of the factory `arrays`."""
         self.arrays, self.rngs = arrays, [np.random.default_rng(0)] * count
         self.state: dict[str, AnyArray] = {}
         for name, value in self.initial_state.items():
             self.state[name] = arrays.asarray(np.full((count, *np.shape(value)), value))
 
     def start(self, row: int, seed: int | None) -> None:
-        """Start the episode with index `row`, whose random numbers `seed` determines."""
+        """Start the episode with index `row`; `seed` seeds its random numbers."""
         self.rngs[row] = np.random.default_rng(seed)
         for name, value in self.initial_state.items():
             self.state[name][row] = self.arrays.asarray(value)
 
     def make_actions(self, rows: AnyIndices, **components: float | AnyArray) -> Actions:
-        """Make actions (r, 8) in the episodes `rows` from components such as `rate`, see `make_giver_actions`."""
+        """Make actions (r, 8) in the episodes `rows` from components such as `rate`; see `make_giver_actions`."""
         return make_giver_actions(len(rows), arrays=self.arrays, **components)
 
     def make_pauses(self, rows: AnyIndices, is_paused: AnyArray) -> Actions:
-        """Make actions (r, 8) that pause the recording where `is_paused` (r,) is true, and replay it elsewhere."""
+        """Make actions (r, 8) that pause the recording in episodes where `is_paused` (r,) is true, else replay it."""
         return self.make_actions(rows, rate=self.arrays.xp.where(is_paused, _PAUSE, 0.0))
 
 
 def is_hand_previewed(observation: Observation) -> AnyArray:
-    """Return whether the hand is in the scene now and in the last preview of the recorded motion, (r,)."""
+    """Return a mask (r,): whether the hand is in the scene now and at the last previewed time of the recording."""
     is_recorded = get_namespace(observation["time"]).any(observation["replay_wrist_poses"][:, -1] != 0.0, axis=1)
     return is_recorded & (observation["hand_present"][:, 0] != 0.0)
 
@@ -89,6 +89,6 @@ def compute_gripper_object_distances(observation: Observation) -> AnyArray:
 
 
 def compute_withdrawals(observation: Observation, distance: float | AnyArray) -> AnyArray:
-    """Return displacements (r, 3) of the hands away from the gripper by a distance (m), one for all or (r, 1)."""
+    """Return displacements (r, 3) of hands away from the gripper; `distance` (m) is a number or an array (r, 1)."""
     away = observation["hand_keypoints"][:, 0] - observation["gripper_pose"][:, :3]
     return distance * away / compute_lengths(away).clip(1e-6)[:, None]

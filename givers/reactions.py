@@ -1,4 +1,4 @@
-"""Givers that react to the robot: that help it, wait for it, withdraw from it or release the object early."""
+"""Givers that react to the robot: they help it, wait for it, withdraw from it or release the object early."""
 
 import math
 from dataclasses import dataclass
@@ -23,16 +23,16 @@ from handover_marl.policies.batch import Actions
 
 
 class HandoverPoseVariation:
-    """Variation of the handover pose in `count` episodes in which the robot does not approach.
+    """Variation of the handover pose while the robot does not approach, separately in `count` episodes.
 
-    Whenever the gripper has not come nearer to the object by `min_approach` for the time `timeout`, the deviation from
-    the recorded pose is multiplied by the next of `scales`; 0 gives the recorded pose.
+    The deviation from the recorded handover pose is to be multiplied by `scale`. This factor changes to the next of
+    `scales` after each time `timeout` in which the gripper has not come nearer to the object by `min_approach`.
 
     Attributes:
-        scale: (count,) present factor of each episode.
-        timeout: Time without an approach (s).
-        min_approach: Smallest approach that counts (m).
-        scales: Factors, repeated in turn.
+        scale: (count,) present factor of each episode; 0 gives the recorded pose.
+        timeout: Time without an approach after which the factor changes (s).
+        min_approach: Smallest decrease of the distance to the object that counts as an approach (m).
+        scales: Factors in order; the first follows the last.
     """
 
     timeout = 2.0
@@ -51,7 +51,7 @@ class HandoverPoseVariation:
         self._min_distance[row], self._since[row] = math.inf, math.nan
 
     def update(self, rows: AnyIndices, observation: Observation) -> None:
-        """Change `scale` in those of the episodes `rows` (r,) in which the gripper has come no nearer for `timeout`."""
+        """Change `scale` in the episodes among `rows` (r,) in which the gripper has not approached for `timeout`."""
         xp, now, distance = self._xp, widen(observation["time"][:, 0]), compute_gripper_object_distances(observation)
         since, closest = self._since[rows], self._min_distance[rows]
         nearer = xp.isnan(since) | (distance < closest - self.min_approach)
@@ -68,7 +68,7 @@ class CooperativeConfig(CheckedConfig):
     """Configuration of `CooperativeGiver`.
 
     Attributes:
-        approach_share: Share of the distance to the gripper by which the object is moved.
+        approach_share: Share of the distance to the gripper by which the object is moved towards the gripper.
         min_distance: Distance from gripper to object below which the object is not moved closer (m).
         max_displacement: Largest displacement of the object from its recorded position (m).
         max_rotation: Largest rotation of hand and object from their recorded orientation (rad).
@@ -85,12 +85,12 @@ class CooperativeConfig(CheckedConfig):
 
 
 class CooperativeGiver(ArrayGiver):
-    """Giver that offers the object towards the gripper, waits for a grasp, releases and withdraws.
+    """Giver that holds out the object towards the gripper, waits for a grasp, releases the object and withdraws.
 
-    While the recorded hand moves to its handover pose, the hand turns behind the object as seen from the gripper and
-    moves towards the gripper. The pose is fixed once the recorded hand has stopped or the gripper is near, because
-    robots take resting objects best. `HandoverPoseVariation` varies the pose if the gripper does not approach. The hand
-    releases the object when both fingers have stopped on the object, and withdraws after any release.
+    While the recorded hand moves to its handover pose, the giver turns its hand so that the object is between hand and
+    gripper, and moves it towards the gripper. The pose is fixed once the recorded hand has stopped or the gripper is
+    near, because robots take resting objects best. `HandoverPoseVariation` varies the pose if the gripper does not
+    approach. The hand releases the object when both fingers have rested on it, and withdraws after any release.
 
     Args:
         context: Robot and task, which this giver does not use.
@@ -99,7 +99,7 @@ class CooperativeGiver(ArrayGiver):
     Attributes:
         near_distance: Distance from gripper to object at which the pose is fixed (m).
         arrival_tolerance: Remaining motion of the recorded wrist below which the hand counts as stopped (m).
-        grasp_time: Time for which the fingers must rest on the object before the release (s).
+        grasp_time: Time for which the robot's fingers must rest on the object before the release (s).
     """
 
     name = "cooperative"
@@ -117,12 +117,12 @@ class CooperativeGiver(ArrayGiver):
     }
 
     def allocate(self, count: int, arrays: ArrayFactory) -> None:
-        """Create the state of `count` episodes, in arrays that `arrays` creates."""
+        """Create the state of `count` episodes in arrays of the factory `arrays`."""
         super().allocate(count, arrays)
         self._pose_variation = HandoverPoseVariation(count, arrays)
 
     def start(self, row: int, seed: int | None) -> None:
-        """Start the episode with index `row` without deviation from the recording; nothing is drawn with `seed`."""
+        """Start the episode with index `row` without deviation from the recording; the giver is not random."""
         super().start(row, seed)
         self._pose_variation.reset(row)
 
@@ -151,13 +151,13 @@ class CooperativeGiver(ArrayGiver):
         )
 
     def _has_arrived(self, observation: Observation) -> AnyArray:
-        """Return (r,) whether the recorded hand holds the object and moves little in the next half second."""
+        """Return a mask (r,): whether the hand holds the object and, by the recording, moves little for 0.5 s."""
         xp, wrist = self.arrays.xp, observation["replay_wrist_poses"][..., :3]
         moves = widen(xp.max(xp.abs(wrist - wrist[:, :1]), axis=(1, 2)))
         return (observation["holding"][:, 0] != 0.0) & (moves < self.arrival_tolerance)
 
     def _choose_poses(self, rows: AnyIndices, observation: Observation) -> None:
-        """Choose displacements and rotations in the episodes `rows`, from the recorded poses half a second ahead."""
+        """Choose displacements and rotations in the episodes `rows` from the recorded poses 0.5 s ahead."""
         xp, config = self.arrays.xp, self.config
         gripper = widen(observation["gripper_pose"][:, :3])
         wrist = widen(observation["replay_wrist_poses"][:, -1, :3])
@@ -182,7 +182,7 @@ class CooperativeGiver(ArrayGiver):
         return xp.where(is_turned[:, None], axes / xp.where(is_turned, size, 1.0)[:, None] * angle[:, None], 0.0)
 
     def _are_grasped(self, rows: AnyIndices, held: AnyArray, near: AnyArray, observation: Observation) -> AnyArray:
-        """Return (r,) whether the fingers have rested on the object for `grasp_time`.
+        """Return a mask (r,): whether the robot's fingers have rested on the object for `grasp_time`.
 
         Args:
             rows: Indices (r,) of the episodes.
@@ -223,7 +223,7 @@ class StopWhenNearConfig(CheckedConfig):
 class StopWhenNearGiver(ArrayGiver):
     """Giver that pauses the recording while the gripper is near the object.
 
-    GenH2R has such a giver (Wang et al., CVPR 2024).
+    A similar giver is in GenH2R (Wang et al., CVPR 2024).
     """
 
     name = "stop_when_near"
@@ -259,7 +259,7 @@ class WithdrawingGiver(ArrayGiver):
     initial_state: ClassVar = {"last_distance": math.nan, "until": -1.0, "displacement": (0.0, 0.0, 0.0)}
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return the actions (r, 8) in the episodes `rows`: withdraw for a while after a fast approach, else replay."""
+        """Return the actions (r, 8) in the episodes `rows`: withdraw for a time after a fast approach, else replay."""
         xp, config, state, now = self.arrays.xp, self.config, self.state, widen(observation["time"][:, 0])
         away = observation["hand_keypoints"][:, 0] - observation["gripper_pose"][:, :3]
         distance = widen(compute_lengths(away))
@@ -280,9 +280,9 @@ class EarlyReleaseConfig(CheckedConfig):
     """Configuration of `EarlyReleaseGiver`.
 
     Attributes:
-        distance: Distance from the middle between the robot's fingertips to the object's origin below which the
-            gripper is near (m).
-        max_delay: Largest time from the arrival of the gripper to the release (s).
+        distance: Distance (m) that defines when the gripper is near: the point between its fingertips is then closer to
+            the object's origin.
+        max_delay: Largest delay from the time at which the gripper is first near (s); each episode draws a delay.
     """
 
     distance: float = bounded(0.1, 0.0, 0.5)
@@ -292,8 +292,8 @@ class EarlyReleaseConfig(CheckedConfig):
 class EarlyReleaseGiver(ArrayGiver):
     """Giver that replays the recording and releases the object soon after the gripper has come near.
 
-    The release does not depend on a grasp, so the robot must close its fingers in time. The rules of the task
-    apply too: a grasp that is firm earlier leads to a release.
+    The release does not depend on a grasp, so the robot must close its fingers in time. By the rules of the task,
+    a firm grasp before this time leads to a release, too.
     """
 
     name = "early_release"

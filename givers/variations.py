@@ -1,4 +1,4 @@
-"""Givers that replay the recording, exactly or with variations that the robot's behavior does not trigger."""
+"""Givers that replay the recording, exactly or with variations that do not react to the robot's behavior."""
 
 import functools
 import hashlib
@@ -39,7 +39,7 @@ class ReplayGiver(ArrayGiver):
         return math.inf
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return the actions (r, 8) in the episodes `rows` that replay the recordings without deviation: zeros."""
+        """Return the actions (r, 8) in the episodes `rows`: zeros, which replay the recordings without deviation."""
         return self.make_actions(rows)
 
 
@@ -48,7 +48,7 @@ class HesitantConfig(CheckedConfig):
     """Configuration of `HesitantGiver`.
 
     Attributes:
-        pauses_per_second: Mean number of pauses that start in a second without a pause.
+        pauses_per_second: Mean number of pauses that start per second outside pauses (1/s).
         shortest_pause: Smallest duration of a pause (s).
         longest_pause: Largest duration of a pause (s).
     """
@@ -84,8 +84,8 @@ class HurriedConfig(CheckedConfig):
     """Configuration of `HurriedGiver`.
 
     Attributes:
-        min_rate: Smallest playback speed relative to the recording, minus 1: negative values are slower.
-        max_rate: Largest playback speed relative to the recording, minus 1.
+        min_rate: Smallest playback rate minus 1; the rate is the speed relative to the recording.
+        max_rate: Largest playback rate minus 1.
     """
 
     ordered_fields: ClassVar = (("min_rate", "max_rate"),)
@@ -95,7 +95,7 @@ class HurriedConfig(CheckedConfig):
 
 
 class HurriedGiver(ArrayGiver):
-    """Giver that replays the recorded motion faster, or slower, at a random speed per episode."""
+    """Giver that replays the recorded motion at another speed, which is drawn for each episode."""
 
     name = "hurried"
     config: HurriedConfig = HurriedConfig()
@@ -107,7 +107,7 @@ class HurriedGiver(ArrayGiver):
         self.state["rate"][row] = self.rngs[row].uniform(self.config.min_rate, self.config.max_rate)
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return the actions (r, 8) in the episodes `rows` that replay at the speeds drawn for these episodes."""
+        """Return the actions (r, 8) in the episodes `rows`: replay at the speeds drawn for these episodes."""
         return self.make_actions(rows, rate=self.state["rate"][rows])
 
 
@@ -125,9 +125,9 @@ class DisplacedConfig(CheckedConfig):
 
 
 class DisplacedGiver(ArrayGiver):
-    """Giver that displaces and rotates the recorded motion, by a random deviation that is drawn for each episode.
+    """Giver that replays the recorded motion with a displacement and a rotation that are drawn for each episode.
 
-    Displacements are uniformly distributed in a ball, rotations have a random axis and a uniform angle. The hand
+    Displacements are uniformly distributed in a ball; rotations have a random axis and a uniform angle. The hand
     moves to the displaced motion once it has picked up the object.
     """
 
@@ -144,7 +144,7 @@ class DisplacedGiver(ArrayGiver):
         self.state["rotation"][row] = self.arrays.asarray(self.config.angle * rng.random() * _draw_direction(rng))
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return the actions (r, 8) in the episodes `rows` with the displacements and rotations drawn for these."""
+        """Return the actions (r, 8) in the episodes `rows`: displacements and rotations drawn for these episodes."""
         return self.make_actions(rows, **{name: values[rows] for name, values in self.state.items()})
 
 
@@ -173,7 +173,7 @@ class NoisyConfig(CheckedConfig):
 class NoisyGiver(ArrayGiver):
     """Giver with Ornstein-Uhlenbeck noise on playback rate, wrist position and wrist rotation.
 
-    The limits of the giver's motion apply, so that fast noise is smoothed.
+    The limits of the giver's motion apply, so fast noise is smoothed.
     """
 
     name = "noisy"
@@ -181,7 +181,7 @@ class NoisyGiver(ArrayGiver):
     initial_state: ClassVar = {"deviation": (0.0,) * 7}
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return the actions (r, 8) in the episodes `rows` with the next random deviations from the recordings."""
+        """Return the actions (r, 8) in the episodes `rows`: the next random deviations from the recordings."""
         config, deviations = self.config, self.state["deviation"]
         scale = np.array([config.rate, *[config.displacement] * 3, *[config.rotation] * 3])
         decay = float(np.exp(-self.control_period / config.time_constant))
@@ -209,14 +209,14 @@ class TiredConfig(CheckedConfig):
 
 
 class TiredGiver(ArrayGiver):
-    """Giver that replays the recording with a tremor, and whose hand sinks slowly while it holds the object.
+    """Giver that replays the recording with a tremor and lowers the hand slowly once it holds the object.
 
     The tremor is a sine wave along each axis with a random phase. The limits of the giver's motion apply: with the
     default limits, the acceleration of the tremor is at most 5 m/s^2.
     """
 
     name = "tired"
-    # Samples of a period of the fastest tremor: six.
+    # The fastest tremor has six samples per period.
     control_period = 0.02
     config: TiredConfig = TiredConfig()
     initial_state: ClassVar = {"phases": (0.0, 0.0, 0.0), "holding_since": math.nan}
@@ -227,7 +227,7 @@ class TiredGiver(ArrayGiver):
         self.state["phases"][row] = self.arrays.asarray(self.rngs[row].uniform(0.0, 2.0 * np.pi, 3))
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return the actions (r, 8) in the episodes `rows` with the present displacements by tremor and sinking."""
+        """Return the actions (r, 8) in the episodes `rows`: the present displacements by tremor and sinking."""
         xp, config, now = self.arrays.xp, self.config, widen(observation["time"][:, 0])
         since, holds = self.state["holding_since"][rows], observation["holding"][:, 0] != 0.0
         since = self.state["holding_since"][rows] = xp.where(xp.isnan(since) & holds, now, since)
@@ -243,7 +243,7 @@ class InterruptingConfig(CheckedConfig):
     """Configuration of `InterruptingGiver`.
 
     Attributes:
-        interruptions_per_second: Mean number of interruptions that start in a second without one.
+        interruptions_per_second: Mean number of interruptions that start per second outside interruptions (1/s).
         withdrawal: Distance by which the hand withdraws (m).
         shortest: Smallest duration of an interruption (s).
         longest: Largest duration of an interruption (s).
@@ -260,8 +260,8 @@ class InterruptingConfig(CheckedConfig):
 class InterruptingGiver(ArrayGiver):
     """Giver that withdraws the hand from the gripper at random times, and offers the object again.
 
-    Interruptions start after the object has been picked up and before it is released; their times do not depend
-    on the robot. The limits of the giver's motion apply: with the default limits, the hand moves at up to 0.8 m/s
+    Interruptions start while the person holds the object; until the release, their times do not depend on the
+    robot. The limits of the giver's motion apply: with the default limits, the hand moves at up to 0.8 m/s
     and 5 m/s^2 relative to the recording, within 0.3 m of it.
     """
 
@@ -290,7 +290,7 @@ class InterruptingGiver(ArrayGiver):
 
 @dataclass(frozen=True)
 class RecordingSpreadConfig(CheckedConfig):
-    """Configuration of `RecordingSpreadGiver`: factors of the standard deviations between recordings.
+    """Configuration of `RecordingSpreadGiver`: factors on the standard deviations between recordings.
 
     Attributes:
         displacement: Factor on the standard deviation of the displacement of the handover pose.
@@ -304,13 +304,13 @@ class RecordingSpreadConfig(CheckedConfig):
 
 
 class RecordingSpreadGiver(ArrayGiver):
-    """Giver that deviates from its recording as other recordings of the same object do.
+    """Giver that deviates from its recording as much as recordings of the same object differ from each other.
 
-    In every episode, displacement and rotation of the handover pose and the playback speed are drawn from normal
-    distributions. Their standard deviations were computed from the recordings of the same object in DexYCB's s0 train
-    split (`recording_spread.json`; for other objects from all recordings). The limits of the giver's motion apply: each
-    component is at most 0.3 m for the displacement and 1 rad for the rotation vector, and the motion is at most twice
-    as fast as recorded.
+    In every episode, displacement and rotation of the handover pose and the logarithm of the playback speed are drawn
+    from normal distributions. Their standard deviations (`recording_spread.json`) were computed from the recordings of
+    the same object in DexYCB's s0 train split; other objects have those of all these recordings. The limits of the
+    giver's motion apply: each component is at most 0.3 m for the displacement and 1 rad for the rotation vector, and
+    the playback rate is 0.4 to 2.
     """
 
     name = "recording_spread"
@@ -327,12 +327,12 @@ class RecordingSpreadGiver(ArrayGiver):
         return hashlib.sha256(_SPREAD_FILE.read_bytes()).hexdigest()
 
     def start(self, row: int, seed: int | None) -> None:
-        """Start the episode `row`, and draw seven standard normal numbers with `seed`: displacement, rotation, pace."""
+        """Start the episode `row`; draw 7 standard normal numbers with `seed`: 3 displacement, 3 rotation, 1 pace."""
         super().start(row, seed)
         self.state["draws"][row] = self.arrays.asarray(self.rngs[row].standard_normal(7))
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return the actions (r, 8): the drawn numbers times the spread between recordings of the same object."""
+        """Return the actions (r, 8) in the episodes `rows`: the drawn numbers times the standard deviations."""
         config, draws, spread = self.config, self.state["draws"][rows], _read_spread()
         names = [self._object_names.get(int(number)) for number in to_numpy(observation["object_classes"][:, 0])]
         found = [spread.get(name or _ALL_OBJECTS, spread[_ALL_OBJECTS]) for name in names]
@@ -347,6 +347,6 @@ class RecordingSpreadGiver(ArrayGiver):
 
 @functools.cache
 def _read_spread() -> dict[str, dict[str, Any]]:
-    """Return the standard deviations between recordings by class name of the object and component of the deviation."""
+    """Return the standard deviations between recordings by the object's class name and the name of the quantity."""
     spread: dict[str, dict[str, Any]] = json.loads(_SPREAD_FILE.read_text())["objects"]
     return spread
