@@ -1,4 +1,4 @@
-"""Procedural model of the human hand: dimensions, kinematics and model files; human grasps of the 20 YCB objects.
+"""Procedural model of the human hand (dimensions, kinematics, model files) and human grasps of 20 YCB objects.
 
 The hand has HandoverSim's structure: a base on three prismatic and three continuous joints (x, y, z), a palm that is
 fixed to the base at an offset, and 15 finger joints with three revolute axes (x, y, z) each. At zero angles all link
@@ -45,7 +45,7 @@ class HandSize:
 
 
 _MIDDLE = _DIGITS["middle"]
-#: Size of the reference hand: mean bone lengths, mean breadth of women and men. All other hands are scaled from it.
+#: Size of the reference hand: mean bone lengths, mean breadth of women and men. Other hands are scaled copies of it.
 REFERENCE_SIZE: Final = HandSize(
     length=_MIDDLE["carpus"] + _MIDDLE["metacarpal"] + sum(_MIDDLE["phalanges"]) + _MIDDLE["tip"],
     breadth=_DIMENSIONS["breadth"],
@@ -67,7 +67,7 @@ SKIN_COLORS: Final = [tuple(color) for color in _DIMENSIONS["skin_colors"]]
 SIDES: Final[tuple[Side, Side]] = ("left", "right")
 SUBJECTS: Final = range(1, len(SUBJECT_SIZES) + 1)
 
-#: Order of the digits in the joint vector and among the links, three joints each, as in MANO.
+#: Order of the digits in the joint vector and among the links, as in MANO. Each digit has three joints.
 DIGIT_ORDER: Final = ("index", "middle", "little", "ring", "thumb")
 
 #: Folder of the shipped hand models: a folder with a URDF for each hand, and the meshes of all hands.
@@ -100,8 +100,8 @@ class HandGeometry:
     def compute_link_poses(self, dof: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Compute positions (..., 16, 3) in m and rotations (..., 16, 3, 3) of palm and phalanges from joint positions.
 
-        `dof` (..., 51) are base position (m), base angles, 45 finger angles (rad); poses are in the frame of the base
-        position.
+        `dof` (..., 51) has the base's position (m), its angles and 45 finger angles (rad). The results are in the frame
+        of the base's position.
         """
         joints = np.asarray(dof, dtype=np.float64)
         rotations = matrices_from_euler(joints[..., 3:].reshape(*joints.shape[:-1], 16, 3))
@@ -115,10 +115,10 @@ class HandGeometry:
         return positions, rotations
 
     def compute_keypoints(self, dof: npt.ArrayLike) -> FloatArray:
-        """Compute the hand's keypoints (..., 21, 3) in m; joints `dof` and frame are as in `compute_link_poses`.
+        """Compute the hand's keypoints (..., 21, 3) in m from joint positions as in `compute_link_poses`, in its frame.
 
-        The keypoints are the wrist, then three joints and the fingertip of index, middle, little and ring finger and
-        thumb.
+        The keypoints are the wrist, then for index, middle, little, ring finger and thumb three joints and the
+        fingertip each.
         """
         positions, rotations = self.compute_link_poses(dof)
         directions = self.tips / np.linalg.norm(self.tips, axis=1, keepdims=True)
@@ -133,7 +133,7 @@ class HandGeometry:
 
 
 def _compute_reference_bones() -> Mapping[str, tuple[FloatArray, FloatArray]]:
-    """Return, by digit, the reference hand's joints (3, 3) in parent frames and bone ends (3, 3) in own frames (m)."""
+    """Return by digit the reference hand's joints (3, 3) in parent frames and bone ends (3, 3) in own frames (m)."""
     bones = {}
     for name in DIGIT_ORDER:
         digit = _DIGITS[name]
@@ -151,7 +151,7 @@ def _compute_reference_bones() -> Mapping[str, tuple[FloatArray, FloatArray]]:
 
 
 def scale_hand(size: HandSize, side: Side) -> HandGeometry:
-    """Return the reference hand, "right" or "left", scaled to a length and a breadth."""
+    """Return the "left" or "right" reference hand, scaled to the length and the breadth in `size`."""
     across = size.breadth / REFERENCE_SIZE.breadth
     scale = np.array([size.length / REFERENCE_SIZE.length, across, across])
     stretch = scale * np.array([-1.0 if side == "left" else 1.0, 1.0, 1.0])
@@ -185,7 +185,7 @@ def _round_to_micrometers(values: FloatArray) -> FloatArray:
 
 
 def format_hand_urdf(model: HandGeometry, name: str, color: tuple[float, float, float], folder: str) -> str:
-    """Return the text of a hand's URDF with HandoverSim's 53 links, an RGB color (0 to 1) and a folder of meshes."""
+    """Return a hand's URDF, with HandoverSim's 53 links, as text; `color` is RGB (0 to 1), `folder` has the meshes."""
     return render_template(
         TEMPLATES_PACKAGE,
         "hand.urdf",
@@ -207,18 +207,18 @@ def format_numbers(values: Iterable[float]) -> str:
     return " ".join(text.rstrip("0").rstrip(".") for text in texts)
 
 
-#: Path of the grasps, made by `building/grasps.py`.
+#: Path of the human grasps, made by `building/grasps.py`.
 GRASPS_FILE: Final = DATA_ROOT / "human_grasps.npz"
 
-#: YCB class names in the order of the file.
+#: YCB class names in the order of `GRASPS_FILE`.
 GRASPED_OBJECTS: Final = tuple(CLASS_NAMES[number] for number in SCENE_CLASSES)
 
-#: Unit (rad) of the angles in the file, which are 16-bit integers.
+#: Unit (rad) of the 16-bit integer angles in `GRASPS_FILE`.
 ANGLE_STEP: Final = 1e-4
 
 _STATISTICS = json.loads((DATA_ROOT / "human_grasp_statistics.json").read_text())
 
-#: Levels of `WRIST_DISTANCE_QUANTILES`.
+#: Levels (0 to 1) of `WRIST_DISTANCE_QUANTILES`.
 LEVELS: Final[tuple[float, ...]] = tuple(_STATISTICS["levels"])
 
 #: Quantiles of the distance (m) from the wrist to the object's origin in DexYCB, by YCB class name.
@@ -229,7 +229,7 @@ WRIST_DISTANCE_QUANTILES: Final[MappingProxyType[str, tuple[float, ...]]] = Mapp
 
 @dataclass(frozen=True, eq=False)
 class HumanGrasps:
-    """Grasps of one object by one subject's hand, n in number, in the object's frame.
+    """The n grasps of an object by one subject's hand, in the object's frame.
 
     Attributes:
         object_from_base: (n, 7) poses of the hand's base, xyz (m) and quaternion xyzw.
@@ -254,7 +254,7 @@ class HumanGrasps:
 
     @property
     def finger_direction(self) -> FloatArray:
-        """Unit vectors (n, 3) along straight fingers of each grasp, from palm to fingertips, in the object's frame."""
+        """Unit vectors (n, 3) from palm to fingertips if the fingers were straight, in the object's frame."""
         along = [1.0 if self.side == "left" else -1.0, 0.0, 0.0]
         return np.asarray(rotate_points(self.object_from_base[:, 3:], np.tile(along, (len(self), 1))))
 

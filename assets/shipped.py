@@ -1,7 +1,7 @@
 """Models, robot grasps, grasp validations and network weights that are part of the library.
 
-The objects have the outer dimensions and the frames of the YCB scans that DexYCB and HandoverSim
-use, so object poses and grasps of both apply to them. Their shapes are simplified.
+The shapes of the objects are simplified. Their outer dimensions and frames are those of the YCB scans in DexYCB and
+HandoverSim, so object poses and grasps of both apply to them.
 
 Gripper poses follow the convention of HandoverSim's grasp files: the fingers close along x, the hand approaches along
 z, and the Panda's hand link is the gripper frame rotated by -90 degrees about z.
@@ -36,14 +36,14 @@ VISUAL_NAME, COLLISION_NAME = "textured_simple.obj", "model_normalized_convex.ob
 
 #: Mass (kg) and lateral friction of all objects in HandoverSim.
 MASS, FRICTION = 0.5, 0.9
-#: Package with the templates of URDF files; it is imported without its modules, which need extras.
+#: Package with the templates of URDF files. Importing it does not import its modules, which need extras.
 TEMPLATES_PACKAGE: Final = "handover_marl.assets.building"
 
 #: sRGB values (0 to 255) by color name.
 PALETTE: Mapping[str, Sequence[int]] = json.loads((files(TEMPLATES_PACKAGE) / "palette.json").read_text())
 
 #: Paths of the Panda's URDFs, without and with a camera on its hand. Links have the names of HandoverSim's URDF, but
-#: other numbers. `data/panda` is an unchanged copy of PyBullet's model, under its Apache license, so that the robot is
+#: other indices. `data/panda` is an unchanged copy of PyBullet's model, under its Apache license, so that the robot is
 #: the same without PyBullet. `panda_camera.urdf` has in addition a box of the size of a RealSense D435, at the pose of
 #: HandoverSim's camera. The box is behind the lens, so it is not in the camera's images.
 PANDA_URDF: Final = DATA_ROOT / "panda" / "panda.urdf"
@@ -60,14 +60,14 @@ CLASSES_WITHOUT_GRASPS = ("002_master_chef_can", "036_wood_block")
 
 #: Path of the grasp validations, made by `building/grasps.py`.
 VALIDATION_PATH = DATA_ROOT / "grasp_validations.npz"
-#: Result of the validation of an object's n grasps, (n, 4). Columns: index of the tilted copy of a
-#: known grasp, or -1 for the known grasp itself; number of shaken poses, in and around the grasp,
-#: that held the object; number, from 1, of the distance by which the grasp is advanced, 0 for none;
-#: number of poses in and around the grasp that kept the object when the person released it.
+#: Results of the validation of an object's n grasps, (n, 4). Columns: index of a tilted copy, -1 for a
+#: known grasp; number of poses at and near the grasp that held the object when shaken; number (from 1)
+#: of the distance in `GraspPreparationConfig.advances` by which the grasp was advanced, 0 for none;
+#: number of poses at and near the grasp that kept the object when the person released it.
 ValidationRecord = npt.NDArray[np.int16]
 
-#: Path of the weights of the receiver `gaddpg`, trained on scenes that are in the training splits of
-#: all setups by `experiments/training/train_gaddpg.py`.
+#: Path of the weights of the receiver `gaddpg`. `experiments/training/train_gaddpg.py` trained them on
+#: the scenes that each of the setups s0 to s3 has in its training split.
 GADDPG_WEIGHTS = DATA_ROOT / "gaddpg.npz"
 
 
@@ -84,10 +84,10 @@ def format_object_files(
     friction: float = FRICTION,
     center: Sequence[float] | None = None,
 ) -> dict[str, bytes | str]:
-    """Return the files of an object by name: meshes, colors and URDF, which has six base joints.
+    """Return the contents of an object's files by file name: meshes, colors and a URDF with six base joints.
 
     `colored` are the meshes to draw: color name, vertices (v, 3) in m and faces (f, 3). `parts` are the vertices and
-    faces of the convex parts for collisions. `mass` (kg) is at `center` (3,) in m; None is the origin, as of YCB.
+    faces of the convex parts for collisions. `mass` (kg) is at `center` (3,) in m; None is the origin, as for YCB.
     """
     names = {"visual": VISUAL_NAME, "collision": COLLISION_NAME}
     values: Any = {"mass": mass, "friction": friction}
@@ -103,8 +103,8 @@ def format_object_files(
 def _format_visual(colored: Iterable[tuple[str, Array, Faces]]) -> str:
     """Return meshes (color name, vertices (v, 3) in m, faces (f, 3)) as one OBJ text, for a folder with the palette.
 
-    PyBullet draws one texture per OBJ file and ignores vertex colors, so the texture coordinates of every face are
-    the center of a color's cell in a small image.
+    PyBullet draws one texture per OBJ file and ignores vertex colors. Therefore the palette is a small image with a
+    cell for each color, and the texture coordinates of a face are the center of its color's cell.
     """
     names = sorted(PALETTE)
     lines = ["mtllib palette.mtl", "o visual", "usemtl palette"]
@@ -127,18 +127,18 @@ def find_bullet_data(feature: str, advice: str) -> Path:
 
 
 def find_vision_weights(network: str, setup: str) -> Path:
-    """Return the path of the weights of a network of the receiver `vision`, trained on the train split of a setup.
+    """Return the path of a network of the receiver `vision` that was trained on the train split of a setup.
 
     Args:
         network: "vision" for the grasp network, "segmentation" for the segmentation network; the scripts that train
             them are `experiments/training/train_vision.py` and `train_segmentation.py`.
-        setup: Official setup; the file exists only if weights ship for it.
+        setup: Official setup; the file need not exist.
     """
     return DATA_ROOT / f"{network}_{setup}.npz"
 
 
 def load_object_grasps(name: str) -> npt.NDArray[np.float64] | None:
-    """Load gripper poses (100, 4, 4) at robot grasps of a YCB class in the object's frame (m); None if it has none."""
+    """Load the gripper poses (100, 4, 4) at grasps of a YCB class, in the object's frame (m); None without grasps."""
     check_name("object", name, CLASS_NAMES.values())
     if name in CLASSES_WITHOUT_GRASPS:
         return None
@@ -146,12 +146,12 @@ def load_object_grasps(name: str) -> npt.NDArray[np.float64] | None:
 
 
 def load_validation_record(name: str) -> ValidationRecord | None:
-    """Return the shipped `ValidationRecord` (n, 4) of an object's grasps by its name, or None if there is none."""
+    """Return the shipped `ValidationRecord` (n, 4) with the name of a record, or None if there is none."""
     return load_shipped_arrays(VALIDATION_PATH).get(name)
 
 
 @functools.cache
 def load_shipped_arrays(path: Path) -> Mapping[str, npt.NDArray[Any]]:
-    """Load all arrays of a shipped `.npz` file by name, once; raise `DataFormatError` if it is damaged."""
+    """Load the arrays of a shipped `.npz` file by name; cached. A damaged file raises `DataFormatError`."""
     with report_damage(path, "file of arrays", "install the library again"):
         return MappingProxyType(read_arrays(path))
