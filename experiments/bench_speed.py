@@ -4,10 +4,10 @@
     python experiments/bench_speed.py --warp --sizes 256 1024 4096
     python experiments/bench_speed.py --cameras --vector-envs 32
 
-The measured environments alternate every few steps in one process, so that drift of the machine's speed cancels; ratios
-are computed within one run. With `--warp`, the speed of vector environments on a device is measured for several numbers
-of environments. The first step, which compiles kernels, is not measured. With `--cameras`, the speed of observations of
-the wrist camera in MuJoCo's physics is measured.
+The measured environments take turns of a few steps in one process, and speeds are compared within one run, so that
+changes of the machine's speed cancel. With `--warp`, the script measures vector environments on a device, for several
+numbers of environments; the first step, which compiles kernels, is left out. With `--cameras`, it measures observations
+of the wrist camera in MuJoCo's physics.
 """
 
 import time
@@ -32,7 +32,7 @@ from handover_marl.learning.training.scene_arguments import SetupArgs
 from handover_marl.simulation.engines import CUDA, FAST, MUJOCO, WARP, list_available_physics
 
 SCENE = 105  # scene in s0 train that single environments simulate
-MAX_TARGET_OFFSET = 0.05  # of joint targets from the start pose (rad)
+MAX_TARGET_OFFSET = 0.05  # largest difference of joint targets from the start pose (rad)
 STEPS_PER_TURN = 5  # control steps for which an environment is measured before the next one
 
 
@@ -45,7 +45,7 @@ class Args(SetupArgs):
         control_period: Time for which an action is applied (s).
         repetitions: Number of runs on the processor; the table gives median ratios and their range.
         vector_envs: Number of environments in a MuJoCo batch on the processor; 0 skips batches.
-        cameras: Whether to measure observations of the wrist camera instead, in two processes.
+        cameras: Whether to measure observations of the wrist camera instead.
         warp: Whether to measure MuJoCo Warp instead.
         sizes: Numbers of environments with MuJoCo Warp.
         device: Device of MuJoCo Warp: cuda, or cpu.
@@ -62,7 +62,7 @@ class Args(SetupArgs):
 
 
 def measure_processor(args: Args) -> str:
-    """Measure environments on the processor during small random motions, and return a table of their speed.
+    """Measure environments on the processor during small random motions; return a table of their speeds.
 
     The table has a row for each engine and each kind of batch, with its physics steps per second of wall-clock time and
     the ratio to the speed of the engine "fast".
@@ -112,8 +112,8 @@ def step_randomly(env: HandoverEnv | ParallelVectorEnv, decisions: int, rng: np.
 def measure_cameras(args: Args) -> str:
     """Measure observations of the wrist camera, and return a table: a row for each mode and image size.
 
-    The table has the observations per second of wall-clock time in two processes, and the processor time of one
-    observation with its control step in this process. The first row has no camera.
+    The columns are the observations per second of wall-clock time in two processes, and the processor time of one
+    observation and its control step in one process. The first row is without camera.
     """
     sizes: dict[tuple[str, int], str] = {(STATE, 224): "state, no camera", (POINTCLOUD, 224): "points"}
     sizes |= {("rgb+depth", side): f"RGB-D, {side} x {side}" for side in (224, 128)}
@@ -158,7 +158,7 @@ def measure_warp(args: Args, count: int) -> tuple[float, float]:
         control_period=args.control_period,
     )
     envs.reset(seed=0)
-    # On the device from the start, as those of a network.
+    # The outputs are on the device from the start, like those of a network.
     outputs = make_tensor_factory(args.device).asarray(
         np.random.default_rng(0).uniform(-1.0, 1.0, (1 + args.decisions, count, *envs.single_action_space.shape)),
         "float32",
@@ -168,7 +168,7 @@ def measure_warp(args: Args, count: int) -> tuple[float, float]:
     simulated, started = now * 0, time.perf_counter()
     for output in outputs[1:]:
         before, now = now, envs.step(output)[-1]["steps"]
-        # Steps of an episode that starts again are not counted.
+        # The difference is negative where an episode has started again; these steps are not counted.
         simulated += (now - before).clip(0)
     total = int(simulated.sum())
     seconds = time.perf_counter() - started

@@ -4,7 +4,7 @@
     python experiments/make_results.py --add results/yang results/omg   # store these result folders first
 
 `docs/results/data/episodes/` has a file with the outcome of every scene for each evaluation of a test split by the
-official protocol (`handover-marl benchmark`). `--add` writes these files, and notes the use of the test split in
+official protocol (`handover-marl benchmark`). `--add` writes these files, and logs the use of the test split in
 `test_use.csv`. Each template `docs/results/data/NAME.md.jinja` becomes the page `docs/results/NAME.md`. Differences are
 computed by `handover-marl compare`.
 """
@@ -43,7 +43,7 @@ HEADER = ("receiver", "setup", *_TITLES, "version")
 OUTCOMES = tuple(column.key for column in RATES)
 POSE, POSES = "true pose of the object", "true poses of all objects"
 POSES_AND_HAND = f"{POSES} and of the hand"
-#: Input of each receiver, and the marker of this kind of input in the figure.
+#: Input of each receiver, and marker of this kind of input in the figure.
 INPUTS = {
     "yang2021": (POSE, "o"),
     "omg": (POSES, "o"),
@@ -59,9 +59,9 @@ MARKERS = {
     "s": "true poses of objects and hand\n(reactive, dagger: also the release)",
     "^": "point clouds",
 }
-#: Images of the benchmark's camera, without noise.
+#: Description of the benchmark's camera in result files: point clouds without noise.
 OFFICIAL_CAMERA = BENCHMARK_SENSORS.describe("pointcloud", "exact")
-#: Published methods that are compared with each receiver.
+#: By receiver, names (or parts of names) of the published methods that are compared with it.
 METHODS = {"yang2021": ("Yang",), "omg": ("OMG",), "gaddpg": ("GA-DDPG",)}
 
 
@@ -71,7 +71,7 @@ class Args:
 
     Attributes:
         add: Result folders of complete evaluations to store first.
-        purpose: Reason for the use of a test split, in its log.
+        purpose: Reason for the use of the test split, for the log `test_use.csv`.
         out: Folder for the pages and the figure.
     """
 
@@ -86,7 +86,7 @@ class Evaluation:
 
     Attributes:
         report: Report on the outcomes of all scenes.
-        path: File with these outcomes, in `EPISODES`.
+        path: File with these outcomes.
     """
 
     report: Report
@@ -136,7 +136,7 @@ def read_evaluations() -> list[Evaluation]:
 
 
 def add_evaluation(folder: Path, purpose: str) -> None:
-    """Store the outcomes of a result folder, replacing an earlier evaluation, and log that the test split was used."""
+    """Store the outcomes of a result folder in place of an earlier evaluation; log that the test split was used."""
     report = handover_marl.load_report(folder)
     metadata = report.metadata
     protocol = (metadata.split, metadata.giver, metadata.simulation_label, metadata.inference_time)
@@ -154,7 +154,7 @@ def add_evaluation(folder: Path, purpose: str) -> None:
 
 
 def format_row(one: Evaluation) -> list[str]:
-    """Return the cells of the table row, in the order of `HEADER`, of an evaluation that was made with this library."""
+    """Return the cells of an evaluation's table row, in the order of `HEADER`."""
     means, metadata, n = one.report.official_means, one.report.metadata, one.n_episodes
     score = f"{100.0 * one.report.average_success:.1f} ({means['AS'].format_interval()})"
     version = f"[{metadata.version} ({metadata.receiver_hash})]({one.path.relative_to(FOLDER).as_posix()})"
@@ -166,7 +166,7 @@ def format_row(one: Evaluation) -> list[str]:
 
 
 def format_published_row(row: PublishedResult, setup: str, episodes: int) -> list[str]:
-    """Return the cells of the table row of a published result of `episodes` scenes, in the order of `HEADER`."""
+    """Return the cells of a published result's table row in the order of `HEADER`; it has `episodes` episodes."""
     rates = [f"{value:.2f}" for value in (row.success, row.contact, row.drop, row.timeout)]
     times = [f"{value:.3f}" for value in (row.time_exec, row.time_plan, row.time_total)]
     start = [f"published: {row.method}", setup, f"{row.wait_s:g}", str(episodes)]
@@ -174,7 +174,7 @@ def format_published_row(row: PublishedResult, setup: str, episodes: int) -> lis
 
 
 def list_published(receiver: str, setup: str) -> list[PublishedResult]:
-    """Return HandoverSim's published results on a setup of the methods that are compared with a receiver."""
+    """Return the results that HandoverSim published for a setup and the methods that are compared with a receiver."""
     methods = METHODS.get(receiver, ())
     rows = [row for row in PUBLISHED.get(setup, ()) if row.source == "HandoverSim"]
     return [row for row in rows if any(method in row.method for method in methods)]
@@ -193,7 +193,7 @@ def select_evaluations(
 def make_table(evaluations: Iterable[Evaluation], receivers: tuple[str, ...], dataset: str = "dexycb") -> str:
     """Return a Markdown table of the test results of some receivers on one data set, and a line with their inputs.
 
-    On DexYCB, the table has the published results of the methods in `METHODS` of the first receiver, too.
+    On DexYCB, the table also has the published results of the methods that are compared with the first receiver.
     """
     chosen = select_evaluations(evaluations, receivers, dataset)
     has_published, rows = dataset == "dexycb" and receivers[0] in METHODS, []
@@ -227,10 +227,10 @@ def make_summary(evaluations: Iterable[Evaluation], setup: str) -> str:
 def make_difference_table(
     evaluations: Iterable[Evaluation], pairs: Sequence[tuple[str, float, str, float]], setups: tuple[str, ...] = ("s0",)
 ) -> str:
-    """Return a Markdown table of paired differences of receivers on DexYCB's test splits, and the commands for them.
+    """Return a Markdown table of paired differences of receivers on DexYCB's test splits, with commands to check them.
 
     Differences are A minus B on the same scenes. A row of `pairs` has receiver A, its wait (s), receiver B and its wait
-    (s); it is left out if one of them was not evaluated.
+    (s). A pair is left out if one of the two was not evaluated.
     """
     chosen = select_evaluations(evaluations, tuple(name for pair in pairs for name in pair[::2]))
     stored = {(one.setup, one.receiver, one.wait_s): one for one in chosen}
@@ -252,7 +252,7 @@ def make_difference_table(
 
 
 def format_success(evaluations: Iterable[Evaluation], receiver: str, setup: str, wait_s: float) -> str:
-    """Return the success rate of a receiver on a test split of DexYCB as text, with interval, episodes and version."""
+    """Return a receiver's success rate on a test split of DexYCB as text, with interval, episodes and version."""
     chosen = select_evaluations(evaluations, (receiver,))
     (one,) = [one for one in chosen if (one.receiver, one.setup, one.wait_s) == (receiver, setup, wait_s)]
     rate, interval = format_percent_rate(one.counts[0], one.n_episodes).split(" ", 1)
@@ -270,13 +270,13 @@ def make_failure_list(evaluations: Iterable[Evaluation], receiver: str) -> str:
 
 
 def format_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a table with a header and rows of cells as Markdown text."""
+    """Return a header and rows of cells as a Markdown table."""
     head, *lines = (f"| {' | '.join(line)} |" for line in (header, *rows))
     return "\n".join([head, f"|{'---|' * len(header)}", *lines])
 
 
 def render_pages(evaluations: list[Evaluation]) -> dict[str, str]:
-    """Return the Markdown text of each results page with a template, by file name."""
+    """Return the Markdown text of each results page by file name, rendered from the templates in `DATA`."""
     environment = Environment(loader=FileSystemLoader(DATA), undefined=StrictUndefined, keep_trailing_newline=True)
     values = {
         "table": lambda *args, **options: make_table(evaluations, *args, **options),

@@ -1,11 +1,11 @@
-"""Measure how much a giver could gain by the best of K random offers (ways to hold out the object) in each scene.
+"""Measure how much a giver would gain by the best of K random offers (ways to hold out the object) in each scene.
 
     python experiments/measure_headroom.py --data-dir DIR --receivers yang2021 omg --out results/headroom
 
-Each quantity of an offer is drawn by a giver of the library that varies nothing else. All pairs play the same scenes
-with the seeds 0 to `draws` - 1. The script prints, for each number K of draws, the share of scenes in which the best of
-K draws succeeds: the mean over all choices of K of the draws. The result folders go to `OUT`; the same command
-continues an interrupted run.
+For each quantity of an offer, a giver of the library draws this quantity and varies nothing else. All pairs play the
+same scenes with the seeds 0 to `draws` - 1. For several K, the script prints the share of scenes in which at least one
+of K draws succeeds, as mean over all subsets of K draws. The result folders go to `OUT`; the same command continues an
+interrupted run.
 """
 
 from dataclasses import dataclass
@@ -59,9 +59,9 @@ class Args(SetupArgs):
 
 
 def compute_best_of(successes: npt.NDArray[np.bool_], k: int) -> npt.NDArray[np.float64]:
-    """Return the probability (s,) that one of k draws succeeds in each of s scenes, from successes (s, n) of n draws.
+    """Return for each of s scenes the probability (s,) that at least one of k draws succeeds.
 
-    The k draws are chosen at random among the n draws, without replacement.
+    The k draws are chosen at random, without replacement, from the n draws with the outcomes `successes` (s, n).
     """
     n, failures = successes.shape[1], (~successes).sum(axis=1)
     best: npt.NDArray[np.float64] = 1.0 - comb(failures, k) / comb(n, k)
@@ -69,7 +69,7 @@ def compute_best_of(successes: npt.NDArray[np.bool_], k: int) -> npt.NDArray[np.
 
 
 def play(args: Args, receiver: str, giver: str, folder: str) -> npt.NDArray[np.bool_]:
-    """Return whether each of n draws of a giver succeeds in each of s scenes, (s, n); store results in `folder`."""
+    """Return the successes (s, n) of n draws of a giver in each of s scenes; store the results in `folder`."""
     scenes = select_scenes_evenly(args.open_dataset().list_scenes(args.setup, args.split), args.n_scenes)
     columns = []
     for seed in range(args.draws):

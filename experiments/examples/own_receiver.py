@@ -2,8 +2,8 @@
 
     python experiments/examples/own_receiver.py --dataset synthetic
 
-The receiver approaches a known grasp and closes the gripper as soon as it stops getting nearer to
-the object. The script prints the official table of results.
+The receiver approaches a known grasp and closes the gripper when the distance to the object stops
+decreasing. The script prints the official table of results.
 """
 
 from dataclasses import dataclass
@@ -42,7 +42,7 @@ class ServoReceiver(Receiver):
 
     Args:
         context: Robot, task and known grasps of the objects.
-        tolerance: Change (m) per decision of the distance from gripper to object below which the gripper has arrived.
+        tolerance: The gripper has arrived if its distance to the object changes by less than this (m) in a decision.
         max_distance: Largest distance (m) from gripper to object at which the gripper closes.
     """
 
@@ -56,7 +56,7 @@ class ServoReceiver(Receiver):
 
     @property
     def wait(self) -> float:
-        """Time at the start of an episode during which the robot waits (s), for tables."""
+        """Time for which the robot waits at the start of an episode (s); results state it."""
         return self._scheme.wait
 
     def reset(self, seed: int | None = None) -> None:

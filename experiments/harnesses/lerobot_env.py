@@ -1,8 +1,8 @@
 """Environments for LeRobot: publish this file as `env.py` of a repository of the Hugging Face Hub (EnvHub).
 
-LeRobot calls `make_env`, and needs `handover_marl` with the extra `vision` in its own environment. Observations have
-the names of the data sets that `handover-marl convert --to lerobot` writes: image of the wrist camera, joints of the
-robot and, with "state" in `obs_mode`, the true state of objects and hand.
+LeRobot calls `make_env`; its Python environment needs `handover_marl` with the extra `vision`. Observations have the
+same names as in data sets by `handover-marl convert --to lerobot`: image of the wrist camera, joints of the robot and,
+with "state" in `obs_mode`, the true state of objects and hand.
 """
 
 from typing import Any
@@ -27,12 +27,12 @@ class LeRobotEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 
     Args:
         task: Setup and split of the scenes, such as "s0/val".
-        fps: Decisions in a second, the frame rate of the demonstrations.
+        fps: Decisions per second: the frame rate of the demonstrations.
         obs_mode: Observation mode; it must contain "rgb".
         options: Other arguments of `handover_marl.parallel_env`.
 
     Attributes:
-        task_description: The task in words, with the name of the object.
+        task_description: Task in words, with the object's name; empty before the first reset.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": FPS}
@@ -56,14 +56,14 @@ class LeRobotEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self._image = np.zeros(inner["wrist_rgb"].shape, np.uint8)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Any]:
-        """Start an episode in a scene that the seed draws, or in the scene `options={"scene_id": number}`."""
+        """Start an episode in a scene drawn with the seed, or in the scene of `options={"scene_id": number}`."""
         super().reset(seed=seed)
         observation, info = self._env.reset(seed=seed, options=options)
         self.task_description = describe_task(self._handover.object_names[0])
         return self._rename(observation), {**info, "is_success": False}
 
     def step(self, action: npt.NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Apply target joint positions (9,), 7 of the arm (rad) and 2 of the fingers (m), for one frame."""
+        """Apply target joint positions (9,), 7 of the arm (rad) and 2 of the fingers (m), for 1 / `fps` s."""
         observation, reward, terminated, truncated, info = self._env.step(action)
         success = info["status"] == int(EpisodeStatus.SUCCESS)
         return self._rename(observation), reward, terminated, truncated, {**info, "is_success": success}
@@ -83,7 +83,7 @@ class LeRobotEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 
 
 def join_environment_state(observation: Observation) -> npt.NDArray[np.float32]:
-    """Return the true state of objects and hand (146,) of a receiver's observation, in the order of the data sets."""
+    """Return the true state of objects and hand (146,) in a receiver's observation, in the order of the data sets."""
     return np.concatenate([observation[key].ravel() for key in ENVIRONMENT_KEYS])
 
 
@@ -95,7 +95,7 @@ def make_env(
     Args:
         n_envs: Number of environments.
         use_async_envs: Whether each environment has a process of its own.
-        cfg: LeRobot's configuration, whose `task` and `fps` are used, or None.
+        cfg: LeRobot's configuration, of which only `task` and `fps` are used; None: default values.
     """
     given = {name: getattr(cfg, name) for name in ("task", "fps") if getattr(cfg, name, None)}
     kind = gymnasium.vector.AsyncVectorEnv if use_async_envs else gymnasium.vector.SyncVectorEnv

@@ -1,4 +1,4 @@
-"""Receiver that acts by a trained policy of LeRobot.
+"""Receiver that acts by a policy trained with LeRobot.
 
     cd experiments/harnesses
     handover-marl benchmark --setup s0 --receiver lerobot_receiver:LeRobotReceiver:folder=CHECKPOINT/pretrained_model
@@ -22,9 +22,9 @@ from handover_marl.receivers import PolicyContext, Receiver
 
 
 class LeRobotReceiver(Receiver):
-    """Receiver with a policy of LeRobot, which observes the robot's joints and the other inputs of its training.
+    """Receiver that acts by a policy of LeRobot.
 
-    These can be the wrist camera's image (mode "rgb") and the true state of objects and hand (mode "state").
+    The policy observes the robot's joints and, as in its training, the wrist camera's image or the true state, or both.
 
     Args:
         context: Robot, task and known grasps of the objects; not used.

@@ -4,7 +4,7 @@
     PYTHONPATH=. vla-eval run --config vla_eval.yaml
 
 A model gets the image of the wrist camera, the joints of the robot and the task in words. It returns a motion of the
-Panda's hand link in the link's own frame, and the opening of the gripper, see
+Panda's hand link in the link's own frame, and whether to close the gripper; see
 `handover_marl.learning.schemes.CartesianDeltaScheme`.
 """
 
@@ -22,7 +22,7 @@ from handover_marl.learning.encodings import make_scheme
 
 
 class HandoverBenchmark(StepBenchmark):
-    """Handovers from a person who repeats recorded motion.
+    """Benchmark of handovers from a giver that replays recordings.
 
     Args:
         setup: Official setup, s0 to s3.
@@ -48,7 +48,7 @@ class HandoverBenchmark(StepBenchmark):
 
     @classmethod
     def configure_render(cls, mode: str) -> dict[str, str]:
-        """Return no environment variables, since the camera is rendered on the CPU."""
+        """Return no environment variables, since images are rendered on the CPU."""
         return {}
 
     def get_tasks(self) -> list[dict[str, Any]]:
@@ -76,7 +76,7 @@ class HandoverBenchmark(StepBenchmark):
         }
 
     def get_step_result(self, step_result: StepResult) -> dict[str, Any]:
-        """Return the outcomes of the episode as numbers: 1 for an outcome that happened, else 0."""
+        """Return whether the episode was a success, and whether the robot touched the person (1 or 0)."""
         status = EpisodeStatus(step_result.info["status"])
         return {"success": status == EpisodeStatus.SUCCESS, "contact": float(EpisodeStatus.HUMAN_CONTACT in status)}
 

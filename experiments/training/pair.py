@@ -1,4 +1,4 @@
-"""Arguments, environment and policy files of the scripts `train_both_*.py`, which train giver and receiver together."""
+"""Arguments, environment and policy files of the scripts `train_both_*.py` that train giver and receiver together."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +9,7 @@ from handover_marl.learning.policy_files import DenseNetwork, PolicySpec, write_
 from handover_marl.learning.training.run_folder import describe_origin, validate
 from handover_marl.learning.training.scene_arguments import RlArgs
 
-#: Names of the features that each agent observes, and of the action scheme that decodes its outputs.
+#: For each agent, names of the features that it observes and of the action scheme that decodes its outputs.
 FEATURES = {"giver": "giver", "receiver": "close"}
 SCHEMES = {"giver": "offer", "receiver": "grasp_servo"}
 
@@ -27,7 +27,7 @@ class PairArgs(RlArgs):
 
 
 def make_env(args: PairArgs) -> EncodedEnv:
-    """Make the training environment, in which both agents have feature vectors and scaled outputs, see `encode`."""
+    """Make the training environment; by `encode`, both agents observe features and act by scaled outputs."""
     encoded: EncodedEnv = handover_marl.encode(handover_marl.parallel_env(**args.env_options), FEATURES, SCHEMES)
     return encoded
 

@@ -2,7 +2,7 @@
 
     python experiments/training/train_both_benchmarl.py --dataset synthetic --out runs/benchmarl
 
-Other algorithms of BenchMARL take the same task. The script needs the extra `benchmarl`.
+The task also works with other algorithms of BenchMARL. The script needs the extra `benchmarl`.
 """
 
 from collections.abc import Callable

@@ -28,7 +28,7 @@ class Args(PairArgs):
 
     Attributes:
         critic: Features that an agent's value function observes: "own", or "both" for the features of both agents.
-        workers: Number of processes that simulate the environments, on which the result depends.
+        workers: Number of processes that simulate the environments; the result depends on it.
     """
 
     critic: Literal["own", "both"] = "own"

@@ -66,7 +66,7 @@ def main(args: PairArgs) -> None:
     algorithm = make_config(args).build_algo()
     for _ in track(range(math.ceil(args.decisions / args.batch_size)), description="updates"):
         algorithm.train()
-    # The means are not clipped.
+    # The policies' means are used as outputs, not clipped.
     networks = {agent: dense_network_from_layers(algorithm.get_module(agent).actor, "tanh") for agent in AGENTS}
     algorithm.stop()
     ray.shutdown()

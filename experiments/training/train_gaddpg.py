@@ -5,8 +5,8 @@ The script needs the extras `train`, `planning` and `vision`.
     python experiments/training/train_gaddpg.py --data-dir DIR --out runs/gaddpg
 
 The training follows Wang et al. (CoRL 2021): objects are at rest without a hand, the expert is the planner `omg`, and
-the network is trained by behavior cloning with an auxiliary loss of goals. In later rounds the network acts and the
-expert labels the states (DAgger). Only the evaluation on the validation split simulates physics. The folder gets
+the network is trained by behavior cloning with an auxiliary loss of its predicted grasps. In later rounds the network
+acts and the expert labels the states (DAgger). Only the validation after each round simulates physics. The folder gets
 `gaddpg.npz`, the best network (`--receiver gaddpg:weights=runs/gaddpg/gaddpg.npz --robot panda_camera`), TensorBoard
 logs, the expert's plans, the states, and a checkpoint, from which `--resume` continues.
 """
@@ -28,7 +28,7 @@ from handover_marl.learning.networks.gaddpg_network import GaddpgNetwork
 from handover_marl.learning.networks.weights import read_network_weights
 from handover_marl.learning.training.scene_arguments import run_script
 
-# One of so many planned scenarios gives held-out states.
+# One in this number of planned scenarios gives held-out states.
 HELD_OUT_STRIDE = 50
 
 
@@ -37,16 +37,16 @@ class Args(ImitationArgs):
     """Arguments of the training of `gaddpg` by imitation.
 
     Attributes:
-        setups: Official setups; the network is trained on scenes that are in the training splits of
-            all these setups, so that no test scene is used.
+        setups: Official setups. The network is trained on the scenes that each of them has in its
+            training split, so no test scene is used.
         scenarios: Number of scenarios for which the expert plans.
         rounds: Number of rounds in which the network acts (DAgger), evenly spread over the training.
-        episodes: Number of rollouts of each scenario in the first round; one in later rounds.
+        episodes: Number of rollouts of each scenario in the first round; later rounds have one.
         repeated_share: Share of the scenarios that have a rollout in each round after the first.
-        waits: Initial waiting times (s) of the receiver in evaluations; their mean success rate selects the network.
-        spare_steps: Number of decisions that should be left when the hand reaches a grasp. The expert leaves 20;
-            with fewer, the approach is slower, because the giver may still move.
-        max_steps: Largest number of actions in the network's approach to a grasp.
+        waits: Initial waiting times (s) of the receiver in evaluations. The mean success rate selects the network.
+        spare_steps: Number of decisions that should be left when the receiver's hand reaches a grasp. The expert leaves
+            20; with fewer, the approach is slower, since the giver may still move.
+        max_steps: Largest number of decisions of an approach to a grasp.
     """
 
     out: str = "runs/gaddpg"
@@ -62,7 +62,7 @@ class Args(ImitationArgs):
 
 
 def main(args: Args) -> Path:
-    """Train in all rounds; return the weight file of the network with the highest success on the validation split."""
+    """Train in all rounds; return the weight file of the network with the highest success rate in validation."""
     args = args.resolve_setup()
     scenes = list_shared_scenes(args.open_dataset(PANDA_CAMERA), args.setups)
     torch.manual_seed(args.seed)

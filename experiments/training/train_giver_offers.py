@@ -56,16 +56,16 @@ class Args(SetupArgs):
     Attributes:
         out: Folder of the run.
         seed: Seed of all random numbers.
-        receivers: Receivers that the giver learns for; environments are divided among them.
+        receivers: Receivers of the training; the environments are divided among them.
         episodes: Number of episodes.
         round_episodes: Number of episodes between trainings of the network.
         num_envs: Number of environments.
-        workers: Number of processes that simulate the environments, on which the result depends; a multiple of the
-            number of receivers.
+        workers: Number of processes that simulate the environments; the result depends on it. It must be a multiple of
+            the number of receivers.
         spread: Standard deviation of the random offers.
-        candidates: Numbers of random offers of which the best is taken; each choice draws one of these numbers.
+        candidates: Numbers of random offers of which the best is taken; each decision draws one of these numbers.
         width: Width of the two hidden layers of the network.
-        dropout: Share of the hidden units that are left out in a gradient step.
+        dropout: Share of the hidden units that a gradient step leaves out.
         updates: Number of gradient steps in each training of the network.
         batch_size: Number of episodes per gradient step.
         learning_rate: Learning rate of AdamW at the start; it decays to zero.
@@ -100,7 +100,7 @@ class Offers(NamedTuple):
 
     Attributes:
         features: Features (n, 48) of the offers.
-        status: Bits (n,) of the `EpisodeStatus` at the end.
+        status: `EpisodeStatus` (n,) at the end, as integers.
         steps: Numbers (n,) of physics steps of the episodes.
         receivers: Indices (n,) of the receivers.
         scenes: Scene numbers (n,).
@@ -120,10 +120,10 @@ class Offers(NamedTuple):
 
 
 class Collector:
-    """Collector of offers from environments with one receiver, which are simulated in a process of their own.
+    """Collector of offers from environments with one receiver, simulated in a process of their own.
 
     Args:
-        number: Number of the collector, which selects its receiver.
+        number: Number of the collector; it selects the receiver and is part of the seed.
         args: Arguments of the training.
         n_earlier_episodes: Number of episodes of earlier runs, part of the seed.
     """
@@ -148,7 +148,7 @@ class Collector:
         self.observations = self.envs.reset(seed=seeds)[0]
 
     def collect(self, network: DenseNetwork | None) -> list[Offers]:
-        """Return the offers of one round: random ones without a network, else the best of some random ones."""
+        """Return the offers of one round: random ones without a network, else each the best of several random ones."""
         steps = max(1, self.args.round_episodes // self.args.num_envs)
         return [self._step(network) for _ in range(steps)]
 
@@ -167,9 +167,9 @@ class Collector:
         )
 
     def _choose(self, network: DenseNetwork | None, vector: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Choose an offer for a flat observation; return features (48,), nan if no grasp is known, and offer (7,)."""
+        """Return features (48,), nan without known grasps, and the offer (7,) that is chosen for a flat observation."""
         count = 1 if network is None else int(self.rng.choice(self.args.candidates))
-        # The first offer is the recorded pose, which one choice of many can only be if the network prefers it.
+        # The first offer is the recorded pose: one of several candidates, but never the only one.
         offers = draw_offers(self.rng, count + 1, self.args.spread)[0 if count > 1 else 1 :]
         space: spaces.Space[Any] = giver_observation_space()
         observation = add_episode_axis(spaces.unflatten(space, vector))
@@ -181,7 +181,7 @@ class Collector:
 
 
 def fit(offers: Offers, args: Args, seed: int) -> DenseNetwork:
-    """Train a new network (48 to 2) that predicts success (logit) and time (share of the limit) of offers."""
+    """Train a new network that maps features (48,) of an offer to success (logit) and time (share of the limit)."""
     torch.manual_seed(seed)
     inputs, successes = torch.as_tensor(offers.features), torch.as_tensor(offers.successes).float()
     durations = torch.as_tensor(offers.steps / ProtocolConfig().horizon_steps).float()
@@ -191,7 +191,7 @@ def fit(offers: Offers, args: Args, seed: int) -> DenseNetwork:
     def compute_loss(outputs: torch.Tensor, rows: torch.Tensor) -> torch.Tensor:
         logits, times = outputs.unbind(-1)
         loss = nn.functional.binary_cross_entropy_with_logits(logits, successes[rows])
-        # The time of a failure says nothing about that of a success.
+        # Only successes train the time: the time of a failure says nothing about that of a success.
         errors = (times - durations[rows]).square() * successes[rows]
         return loss + errors.sum() / successes[rows].sum().clamp(min=1)
 
@@ -200,7 +200,7 @@ def fit(offers: Offers, args: Args, seed: int) -> DenseNetwork:
 
 
 def train(args: Args, folder: Path) -> Offers:
-    """Collect offers until the number of episodes is reached; return all of them, which are stored in `folder`."""
+    """Collect offers and store them in `folder` until the number of episodes is reached; return all offers."""
     torch.set_num_threads(1)
     path, offers = folder / OFFERS, None
     if path.exists():

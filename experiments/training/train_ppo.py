@@ -3,14 +3,14 @@
     python experiments/training/train_ppo.py --data-dir DIR --out runs/ppo.npz
     python experiments/training/train_ppo.py --data-dir DIR --agent giver --out runs/giver.npz
 
-A receiver learns when to close the gripper and how to correct the approach to a grasp (action scheme `grasp_servo`);
-an episode of a giver is one decision, the pose in which it holds out the object (action scheme `offer`). Both learn
-from the reward of a success. With `--initial FILE` the training of a policy file continues. For a receiver from
-`train_receiver_dagger.py`, which moves the gripper without a script, this needs a small `--learning-rate`, and it has
-not raised the success rate so far.
+A receiver learns when to close the gripper and how to correct the approach to a grasp (action scheme `grasp_servo`).
+A giver makes one decision per episode: the pose in which it holds out the object (action scheme `offer`). Both are
+rewarded for successes. `--initial FILE` trains the network of a policy file further. With a receiver from
+`train_receiver_dagger.py`, which moves the gripper without a script, use a small `--learning-rate`; further training
+has not raised its success rate so far.
 
-The script needs the extra `train`, and with `--backend warp` the extra `warp`: environments and networks are then on
-one device, for example `--backend warp --device cuda --num-envs 1024`. The policy file runs without PyTorch:
+The script needs the extra `train`, and with `--backend warp` also the extra `warp`. Warp keeps environments and
+networks on one device, such as `--backend warp --device cuda --num-envs 1024`. The policy file runs without PyTorch:
 `handover-marl benchmark --setup s0 --receiver learned:runs/ppo.npz`.
 """
 
@@ -54,11 +54,11 @@ class Args(RlArgs):
         partner: Fixed policy of the other agent, with options; default: cooperative for receivers, yang2021 for givers.
         features: Features that the agent observes; default: close for receivers, giver for givers.
         action_scheme: Action scheme of the agent; default: grasp_servo for receivers, offer for givers.
-        rewards: Rewards: sparse, shaped, or module:name of own ones, see docs/reference/rewards.md.
+        rewards: Rewards: sparse, shaped, or module:name for own ones; see docs/reference/rewards.md.
         initial: Policy file whose network is trained further, with its features, actions and control period; None
             trains a new network.
         minutes: Largest wall-clock time of the training (min), without the evaluation.
-        workers: Number of processes that simulate the environments, on which the result depends; not used with the
+        workers: Number of processes that simulate the environments; the result depends on it. Not used with the
             backend "warp".
         backend: Backend of the environments: "threads" for MuJoCo on the processor, or "warp" for MuJoCo Warp.
         device: Device of environments and networks with the backend "warp": cuda, or cpu for tests.
@@ -93,10 +93,10 @@ class ActorCritic(nn.Module):
     """Gaussian policy whose standard deviation does not depend on the features, and a value function.
 
     Args:
-        n_inputs: Number of features that the policy observes, the first ones.
+        n_inputs: Number of features that the policy observes; they are the first of all features.
         stds: Initial standard deviations of the policy's outputs.
         width: Width of the hidden layers of a new network.
-        initial: Network with which the policy starts, with two hidden tanh layers; None: a new one.
+        initial: Network with two hidden tanh layers with which the policy starts; None: a new one.
         n_features: Number of features that the value function observes; None: `n_inputs`.
     """
 
@@ -131,7 +131,7 @@ class ActorCritic(nn.Module):
 
 
 class Batch(NamedTuple):
-    """Decisions of k steps of n environments, with their advantages and targets of the value: tensors (k, n, ...)."""
+    """Decisions of n environments in k steps, with advantages and targets of the values: tensors (k, n, ...)."""
 
     features: torch.Tensor
     actions: torch.Tensor
@@ -141,16 +141,16 @@ class Batch(NamedTuple):
 
 
 class Collector:
-    """Collector of the decisions of one or both agents in environments of a process.
+    """Collector of the decisions of one or both agents in the environments of one process.
 
     Episodes continue from one rollout to the next.
 
     Args:
-        number: Number of the collector, which seeds its random numbers.
+        number: Number of the collector, part of the seed of its random numbers.
         args: Arguments of the training.
         agents: Agents that learn.
         envs: Vector environment of these agents.
-        sees_both: Whether the value function of an agent observes the features of both, its own ones first.
+        sees_both: Whether the value function of an agent observes the features of both agents, its own first.
         device: Device of environments and networks.
     """
 
@@ -165,7 +165,7 @@ class Collector:
         self.features, self.outcomes = self._join(observations), list[bool]()
 
     def make_model(self, agent: str, gripper_std: float | None, initial: DenseNetwork | None) -> ActorCritic:
-        """Make the networks of an agent; `gripper_std`, unless None, is the initial deviation of the last output."""
+        """Make an agent's networks; `gripper_std`: initial standard deviation of the last output, unless None."""
         observed, actions = self.envs.single_observation_space, self.envs.single_action_space
         if len(self.agents) > 1:
             observed, actions = observed(agent), actions(agent)
@@ -175,11 +175,11 @@ class Collector:
         return ActorCritic(flatdim(observed), stds, self.args.width, initial, n_features).to(self.device)
 
     def _split(self, values: Any) -> Any:
-        """Return values by agent; environments of one agent have no dict."""
+        """Return values by agent; environments of one agent give them without a dict."""
         return values if len(self.agents) > 1 else {self.agents[0]: values}
 
     def _join(self, observations: dict[str, Any]) -> dict[str, torch.Tensor]:
-        """Return the features of each agent, followed by those of the other agent if value functions observe both."""
+        """Return each agent's features, followed by those of the other agent if value functions observe both."""
         own = [torch.as_tensor(observations[agent]) for agent in self.agents]
         if self.sees_both:
             own = [torch.cat(parts, -1) for parts in (own, own[::-1])]
@@ -187,7 +187,7 @@ class Collector:
 
     @torch.no_grad()
     def collect(self, models: dict[str, ActorCritic]) -> dict[str, Batch]:
-        """Take steps for one update; return each agent's decisions, and keep the outcomes of episodes that ended."""
+        """Take steps for one update; return each agent's decisions; `outcomes` gets the success of ended episodes."""
         self.outcomes = []
         steps = [self._step(models) for _ in range(self.args.batch_size // self.args.num_envs)]
         batches = {}
@@ -216,7 +216,7 @@ class Collector:
             status = int(infos[self.agents[0]]["final_info"]["status"][number])
             self.outcomes.append(status == handover_marl.EpisodeStatus.SUCCESS)
             if not terminal[number]:
-                # The value of the last state stands for the rewards after the truncation.
+                # The value of the last state replaces the missing rewards after the truncation.
                 last = self._join({agent: infos[agent]["final_obs"][number] for agent in self.agents})
                 for agent, model in models.items():
                     rewards[agent][number] += self.args.discount * model.compute_value(last[agent]).item()
@@ -283,8 +283,8 @@ def train(
     Args:
         args: Arguments of the training.
         agents: Agents that learn.
-        workers: Number of processes that simulate the environments, on which the result depends.
-        sees_both: Whether the value function of an agent observes the features of both.
+        workers: Number of processes that simulate the environments; the result depends on it.
+        sees_both: Whether the value function of an agent observes the features of both agents.
         gripper_std: Initial standard deviation of the last output; default: as for the other outputs.
         initial: Network with which the policy starts; None: a new one.
         device: Device of environments and networks.
@@ -344,7 +344,7 @@ def main(args: Args) -> Path:
     if args.backend == WARP:
         args = replace(args, workers=1)
     check_policy_path(args.out)
-    args.out.parent.mkdir(parents=True, exist_ok=True)  # before the training, whose result it must not cost
+    args.out.parent.mkdir(parents=True, exist_ok=True)  # early, so that an error costs no training
     initial = None
     if args.initial is not None:
         spec, initial, _ = read_policy(args.initial, agent)
@@ -361,7 +361,7 @@ def main(args: Args) -> Path:
         args,
         (agent,),
         args.workers,
-        # Random closing succeeds now and then, so the gripper's output is explored more than the motion.
+        # Closing at random succeeds sometimes, so the gripper's output is explored more than the motion.
         gripper_std=args.gripper_initial_std if agent == "receiver" else None,
         initial=initial and initial.copy_to(make_tensor_factory(args.device)),
         device=args.device,

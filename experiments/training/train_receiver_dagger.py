@@ -6,9 +6,9 @@ r"""Train a receiver to imitate another one by DAgger (Ross, Gordon and Bagnell,
         --out runs/dagger
 
 In each round, batches of episodes are simulated together, with random disturbances. In the first round the expert acts.
-In later rounds, the network acts first; the expert takes over at a random time, or when the network closes the gripper,
-and shows how to go on from there. Decisions of the expert are recorded. The network is trained anew after each round.
-It maps features to the outputs of an action scheme, such as motions of the gripper, without a script. The folder gets
+In later rounds the network acts first. The expert takes over at a random time, or when the network closes the gripper.
+Decisions of the expert are recorded, and a new network is trained on those of all rounds after each round. The network
+maps features to the outputs of an action scheme, such as motions of the gripper, without a script. The folder gets
 `policy.npz` (`--receiver learned:runs/dagger/policy.npz`), from which `train_ppo.py --initial` starts;
 `--resume` continues a run.
 """
@@ -53,9 +53,9 @@ class Args(SetupArgs):
     Attributes:
         out: Folder of the run.
         seed: Seed of all random numbers.
-        expert: Receiver to imitate, whose control period must not change. It should depend on little more than the
-            features: a network learns the mean of what an expert does in states with equal features.
-        giver: Giver of all episodes. With `replay` alone, networks learn the scenes by heart.
+        expert: Receiver to imitate, with a constant control period. Its actions should depend on little more than the
+            features: a network learns the mean of the actions in states with equal features.
+        giver: Giver of all episodes. With `replay`, networks overfit to the recorded motions.
         features: Features of the receiver, inputs of the network.
         action_scheme: Action scheme that decodes the network's outputs; it must be invertible.
         rounds: Number of rounds.
@@ -65,10 +65,10 @@ class Args(SetupArgs):
         disturbance: Standard deviation of the disturbances of the outputs that move the arm.
         disturbed_share: Share of the decisions that are disturbed.
         latest_takeover: Largest time at which the expert takes over (s).
-        change_weight: Weight of decisions in which the expert opens or closes the gripper, which are few; others have
-            the weight 1.
+        change_weight: Weight of the few decisions in which the expert opens or closes the gripper; others have the
+            weight 1.
         closing_margin: Output above which the network in `policy.npz` closes the gripper. With 0, networks often close
-            too early, since few decisions with a large weight close it.
+            it too early, because of the large `change_weight`.
         width: Width of the two hidden layers of the network.
         epochs: Number of times that each training of the network goes through the decisions.
         batch_size: Number of decisions per gradient step.
@@ -76,7 +76,7 @@ class Args(SetupArgs):
         weight_decay: Weight decay of AdamW.
         val_scenes: Number of validation scenes in the evaluation after each round, evenly chosen; 0 skips it.
         val_physics: Physics of the evaluations: fast, exact or mujoco.
-        workers: Number of processes, on which the results do not depend.
+        workers: Number of processes; the results do not depend on it.
         resume: Whether to continue the run in the folder `out`.
     """
 
@@ -111,7 +111,7 @@ class Decisions(NamedTuple):
 
     Attributes:
         features: Features (n, k) of the observations.
-        outputs: Outputs (n, m) of the action scheme that are decoded to the expert's actions.
+        outputs: Outputs (n, m) that the action scheme decodes to the expert's actions.
         is_change: Whether the expert opens or closes the gripper, (n,).
     """
 
@@ -188,7 +188,7 @@ class Collector:
         return join_samples(parts)
 
     def _start(self, row: int, observation: Observation, rng: np.random.Generator) -> None:
-        """Start the episode of environment `row`, of which `observation` (n, ...) has the first observation."""
+        """Start the episode of environment `row`; `observation` (n, ...) has the first observations."""
         self._features.reset(row)
         self._scheme.reset(row)
         name = self._context.object_names[int(observation["object_classes"][row, 0])]
@@ -197,7 +197,7 @@ class Collector:
         self._takeovers[row] = rng.uniform(0.0, self._args.latest_takeover)
 
     def _ask_expert(self, rows: np.ndarray, observation: Observation) -> tuple[np.ndarray, np.ndarray]:
-        """Return the outputs (r, m) for the expert's actions in some environments, and whether the gripper changes."""
+        """Return the expert's outputs (r, m) in some environments, and whether it opens or closes the gripper (r,)."""
         steps = np.rint(observation["time"][rows, 0].astype(float) / TIME_STEP).astype(int)
 
         def observe(some: np.ndarray) -> Observation:

@@ -5,10 +5,10 @@ The script needs the extras `train` and `vision`.
     python experiments/training/train_segmentation.py --data-dir DIR --out runs/segmentation
 
 The script renders randomized images of a training split and trains the network to segment object, person's hand and
-other objects; then it trains the part that separates the points of the object and the hand. It prints the
-intersections over union on held-out scenes of the split, every tenth. The folder gets the images, `pixels.npz` after
-the first training, and `segmentation.npz` (`--receiver vision:masks=runs/segmentation/segmentation.npz`). A network
-that was trained on scenes with one object takes other objects for it.
+other objects; then it trains the network's part that separates the points of object and hand. Every tenth scene is
+held out, and the script prints the intersections over union there. The folder gets the images, `pixels.npz` after the
+first training, and `segmentation.npz` (`--receiver vision:masks=runs/segmentation/segmentation.npz`). A network that
+was trained on scenes with one object mistakes other objects for the target.
 """
 
 from collections.abc import Callable, Sequence
@@ -54,12 +54,12 @@ class Args(SetupArgs):
         views: Number of rendered images per scene.
         stride: Use every n-th scene of the training split.
         updates: Number of gradient updates.
-        batch_size: Number of sections of images per gradient update.
-        point_updates: Number of gradient updates of the part for points.
-        point_batch_size: Number of clouds per gradient update of that part.
+        batch_size: Number of image sections per gradient update.
+        point_updates: Number of gradient updates of the network's part for points.
+        point_batch_size: Number of point clouds per gradient update of that part.
         workers: Number of worker processes that render; default: one per core.
         device: PyTorch device.
-        resume: Whether to use what an earlier run has left in the folder `out`: images, and `pixels.npz`.
+        resume: Whether to use images and `pixels.npz` of an earlier run in the folder `out`.
     """
 
     out: Path = Path("runs/segmentation")
@@ -77,7 +77,7 @@ class Args(SetupArgs):
 
 
 def load_views(args: Args, scenes: Sequence[int]) -> list[SegmentationViews]:
-    """Return the images of each scene; render images that are not in the folder of the run."""
+    """Return the images of each scene; render those that are not yet in the folder of the run."""
 
     def make_renderer() -> Callable[[int], SegmentationViews]:
         return SegmentationRenderer(args.open_dataset(args.robot), args.views, args.seed).render_scene
@@ -88,7 +88,7 @@ def load_views(args: Args, scenes: Sequence[int]) -> list[SegmentationViews]:
 def train(
     learner: ImitationLearner[Any, Any], samples: LabelledBatches, held_out: LabelledBatches, size: int, seed: int
 ) -> None:
-    """Train the learner's network by batches of `size` samples that `seed` selects; print its metrics on `held_out`."""
+    """Train the network on batches of `size` samples drawn with `seed`; print its metrics on `held_out`."""
     for number in track(range(learner.updates), description="updates"):
         learner.update(samples.sample(size, np.random.default_rng((seed, number))))
     shares = {name: round(float(share), 3) for name, share in learner.evaluate(held_out).items()}

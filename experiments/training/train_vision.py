@@ -25,7 +25,7 @@ from handover_marl.learning.imitation.vision.views import GraspViews, ViewRender
 from handover_marl.learning.networks.grasp_network import GraspNetwork
 from handover_marl.learning.training.scene_arguments import run_script, select_held_out_scenes, select_training_scenes
 
-# Number of held-out views for the metrics.
+# Maximum number of held-out views for the metrics.
 N_HELD_OUT = 1500
 
 
@@ -37,7 +37,7 @@ class Args(ImitationArgs):
         robot: Robot model: panda or panda_camera.
         views: Number of rendered camera views per scene.
         stride: Use every n-th scene of the training split.
-        extra_datasets: Other data sets, whose training scenes (of their first setup) are used too; `data_dir` does not
+        extra_datasets: Other data sets; the training scenes of their first setups are used, too. `data_dir` does not
             apply to them.
         views_seed: Seed of the views; default: `seed`.
     """
@@ -51,7 +51,7 @@ class Args(ImitationArgs):
 
 
 def load_views(args: Args, run: ImitationRun, dataset: str, scenes: Sequence[int]) -> GraspViews:
-    """Return the views of scenes of a data set; render views that are not in the folder of the run."""
+    """Return the views of scenes of a data set; render those that are not yet in the folder of the run."""
     folder, data_dir = run.folder / "views", args.data_dir
     if dataset != args.dataset:
         folder, data_dir = folder / re.sub(r"\W+", "-", dataset), None
@@ -78,7 +78,7 @@ def main(args: Args) -> Path:
     held_out = GraspViews._make(part[:: -(-len(part) // N_HELD_OUT)] for part in others)
 
     def load_all(number: int) -> GraspViews:
-        """Return the views of the training scenes of all data sets; there is only the round 0."""
+        """Return the views of the training scenes of all data sets; `number` is 0, the only round."""
         return join_samples([load_views(args, run, name, ids) for name, ids in training.items()])
 
     return run.train(

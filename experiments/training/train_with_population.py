@@ -1,4 +1,4 @@
-"""Train receivers or givers with partners of a population, with several seeds.
+"""Train receivers or givers with the partners of a population, one policy for each seed.
 
     python experiments/training/train_with_population.py --data-dir DIR --agent receiver --method population
 
@@ -7,12 +7,12 @@
 | `best_response` | one partner, `--partner` |
 | `population` | a randomly drawn member of the population's train families in each episode |
 | `fictitious_co_play` | networks of several pairs, after half of their training and after all of it |
-| `history` | as `population`, with the features of the receiver's last four decisions (`close_stack`) |
+| `history` | as `population`; the receiver observes the features of its last four decisions (`close_stack`) |
 
-`fictitious_co_play` simplifies the method of Strouse et al. (NeurIPS 2021): the two policies of a pair are trained one
-after the other, the receiver with `replay`, and then the giver with this receiver; there are no untrained partners. The
-policies are `OUT/EGO_METHOD/SEED.npz`, the pairs are in `OUT/pairs`. The script needs the extra `train`. The same
-command continues an interrupted run after the last written policy.
+`fictitious_co_play` simplifies the method of Strouse et al. (NeurIPS 2021): of each pair, first the receiver is trained
+with `replay`, then the giver with this receiver, and there are no untrained partners. The policies are
+`OUT/EGO_METHOD/SEED.npz`, the pairs are in `OUT/pairs`. The script needs the extra `train`. The same command continues
+an interrupted run after the last written policy.
 """
 
 from dataclasses import dataclass, field, replace
@@ -39,11 +39,11 @@ class Args(SetupArgs):
 
     Attributes:
         agent: Agent that learns.
-        method: Choice of the partners.
+        method: Method that determines the partners.
         seeds: Seeds of the trainings; the pairs have the seeds from 1000 on.
         out: Folder of the policies.
         partner: Partner of the method best_response; default: replay for receivers, yang2021 for givers.
-        population: Name of a shipped population, or path of a file.
+        population: Name of a shipped population, or path of a population file.
         pairs: Number of pairs of the method fictitious_co_play.
         receiver: Further arguments of `train_ppo.py` for receivers; this script sets agent, partner, out, seed and
             the data.
@@ -76,15 +76,15 @@ class Args(SetupArgs):
             raise OptionError(f"partner must be left out with method {self.method}, got {self.partner!r}")
 
     def open_folder(self, name: str, mutable_args: tuple[str, ...], **hashes: str) -> Path:
-        """Make the folder `name` in `out`, or check it if it exists; return it; see `open_run_folder`."""
+        """Make or check the folder `name` in `out` and return it; see `open_run_folder`."""
         path = self.out / name
         return open_run_folder(path, self, path.exists(), self.open_dataset().name, mutable_args, **hashes)
 
 
 def train_policy(args: Args, agent: _Agent, partner: str, path: Path, seed: int, share: float = 1.0) -> Path:
-    """Train the policy of an agent with a fixed partner, write it to `path`, and return `path`; keep an existing file.
+    """Train an agent with a fixed partner and write its policy to `path`, unless this file exists; return `path`.
 
-    `share` is the share (0 to 1) of the agent's `decisions` that are made.
+    The training has the share `share` (0 to 1) of the `decisions` in the agent's arguments.
     """
     if path.exists():
         return path
@@ -98,7 +98,7 @@ def train_policy(args: Args, agent: _Agent, partner: str, path: Path, seed: int,
 
 
 def train_pairs(args: Args) -> Path:
-    """Train the pairs, and return the file of the population of their policies."""
+    """Train the pairs, and return the path of the file of the population that their policies form."""
     folder = args.open_folder("pairs", ("agent", "method", "seeds", "partner", "population"))
     partners: dict[_Agent, list[Partner]] = {"giver": [], "receiver": []}
     for seed in range(_FIRST_PAIR_SEED, _FIRST_PAIR_SEED + args.pairs):
