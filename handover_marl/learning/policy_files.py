@@ -12,9 +12,9 @@ import numpy.typing as npt
 
 from handover_marl.config import MAX_CONTROL_PERIOD
 from handover_marl.episode.spaces import STATE
-from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverError, OptionError
+from handover_marl.errors import DataFormatError, OptionError
 from handover_marl.execution.files import shorten_text, write_arrays
-from handover_marl.execution.reading import read_arrays, read_plain_file
+from handover_marl.execution.reading import read_arrays, read_plain_file, report_damage
 from handover_marl.geometry.arrays import AnyArray, ArrayFactory, get_namespace, is_tensor
 from handover_marl.policies.registry import check_stored_reference
 
@@ -238,16 +238,9 @@ def read_policy(path: Path, agent: str, trust: bool = False, **overrides: Any) -
             f"{path}: a policy file must end in .npz; load the network by its own library, such as PPO.load, and pass "
             f"it to handover_marl.as_{agent}, or write it by handover_marl.export_policy"
         )
-    try:
+    with report_damage(path, "policy file", "give one that handover_marl.export_policy or a training script wrote"):
         content = read_plain_file(path)
-    except OSError as error:
-        raise DataNotFoundError(
-            f"{path}: cannot read this policy file ({error.strerror or error}); give the path of one that "
-            "handover_marl.export_policy or a training script wrote"
-        ) from error
-    except ValueError as error:
-        raise DataFormatError(f"{path}: cannot read this policy file ({error})") from error
-    recorded, network = _read_npz(path, content)
+        recorded, network = _decode_policy(content)
     for key, kind in (("features", "features"), ("actions", "action scheme")):
         if key in recorded and overrides.get(key) is None:
             check_stored_reference(path, kind, recorded[key], trust)
@@ -285,33 +278,25 @@ def complete_spec(
     return PolicySpec(**fields | {"control_period": float(period)})
 
 
-def _read_npz(path: Path, content: bytes) -> tuple[dict[str, Any], DenseNetwork]:
-    try:
-        arrays = read_arrays(content)
-        about = json.loads(str(arrays["about"]))
-        if about["format"] != _FORMAT:
-            raise DataFormatError(f"format must be {_FORMAT}, got {about['format']!r}; write the file again")
-        spec = PolicySpec(**about["spec"])
-        if not all(isinstance(value, str) for key, value in vars(spec).items() if key != "control_period"):
-            raise DataFormatError("names must be text")
-        count = sum(name.startswith("weight_") for name in arrays)
-        weights, biases = (
-            tuple(arrays[f"{part}_{number}"].astype(np.float32) for number in range(count))
-            for part in ("weight", "bias")
-        )
-        normalization = bounds = None
-        if "input_mean" in arrays:
-            parts = (arrays[f"input_{part}"].astype(np.float64) for part in ("mean", "scale", "clip"))
-            normalization = InputNormalization(*parts)
-        if "output_low" in arrays:
-            low, high = (arrays[f"output_{part}"].astype(np.float32) for part in ("low", "high"))
-            bounds = OutputBounds(low, high, bool(about["is_scaled"]))
-        network = DenseNetwork(weights, biases, about["activation"], about["output"], normalization, bounds)
-        return asdict(spec), network
-    except HandoverError as error:
-        raise DataFormatError(f"{path}: {error}") from error
-    except Exception as error:  # NumPy and zipfile raise exceptions of many types on damaged files
-        raise DataFormatError(
-            f"{path}: not a policy file of handover_marl, or damaged ({shorten_text(error)}); copy it again, or give a "
-            "file of handover_marl.export_policy or of a training script"
-        ) from error
+def _decode_policy(content: bytes) -> tuple[dict[str, Any], DenseNetwork]:
+    """Return the fields of `PolicySpec` by name, and the network, of the content of a policy file."""
+    arrays = read_arrays(content)
+    about = json.loads(str(arrays["about"]))
+    if about["format"] != _FORMAT:
+        raise DataFormatError(f"format must be {_FORMAT}, got {about['format']!r}")
+    spec = PolicySpec(**about["spec"])
+    if not all(isinstance(value, str) for key, value in vars(spec).items() if key != "control_period"):
+        raise DataFormatError("names must be text")
+    count = sum(name.startswith("weight_") for name in arrays)
+    weights, biases = (
+        tuple(arrays[f"{part}_{number}"].astype(np.float32) for number in range(count)) for part in ("weight", "bias")
+    )
+    normalization = bounds = None
+    if "input_mean" in arrays:
+        parts = (arrays[f"input_{part}"].astype(np.float64) for part in ("mean", "scale", "clip"))
+        normalization = InputNormalization(*parts)
+    if "output_low" in arrays:
+        low, high = (arrays[f"output_{part}"].astype(np.float32) for part in ("low", "high"))
+        bounds = OutputBounds(low, high, bool(about["is_scaled"]))
+    network = DenseNetwork(weights, biases, about["activation"], about["output"], normalization, bounds)
+    return asdict(spec), network

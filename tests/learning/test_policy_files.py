@@ -101,7 +101,7 @@ def test_random_bytes_are_refused(tmp_path_factory: pytest.TempPathFactory, cont
 def test_pickles_in_npz_files_are_not_loaded(tmp_path: Path) -> None:
     path = tmp_path / "policy.npz"
     np.savez(path, about=np.array([Evil()], dtype=object))
-    with pytest.raises(DataFormatError, match="not a policy file"):
+    with pytest.raises(DataFormatError, match="not a readable policy file"):
         givers.make(f"learned:{path}", trust=True)
 
 

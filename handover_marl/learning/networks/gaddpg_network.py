@@ -21,7 +21,7 @@ from torch import Tensor, nn
 
 from handover_marl.errors import DataFormatError, DataNotFoundError, UnsafeFileError
 from handover_marl.execution.files import shorten_text
-from handover_marl.execution.reading import read_plain_file
+from handover_marl.execution.reading import read_plain_file, report_damage
 from handover_marl.geometry.poses import IDENTITY
 from handover_marl.geometry.rotations import normalize_quaternions
 from handover_marl.learning.networks.approach_field import MAX_ROTATION, MAX_TRANSLATION, compute_approach_steps
@@ -154,6 +154,7 @@ class GaddpgNetwork(SavedNetwork):
 
 
 _ACTOR, _FEATURES = "_actor_", "_state_feat_"
+_KIND_AND_ADVICE = "checkpoint of GA-DDPG", "copy both files of its authors again"
 # Names of the encoder's parts in the original code, which wraps its encoders for several GPUs.
 _STAGES, _DENSE = re.compile(r"^(module\.)?encoder\.0\."), re.compile(r"^(module\.)?encoder\.1\.")
 
@@ -200,24 +201,19 @@ def _find_files(path: Path) -> tuple[Path, Path]:
 
 def _read_weights(file: Path) -> tuple[dict[str, Tensor], bytes]:
     """Return the weights in a file by name, and the content of the file."""
-    try:
+    with report_damage(file, *_KIND_AND_ADVICE):
         content = read_plain_file(file)
-        found = load_tensors(content)
-    except OSError as error:
-        raise DataNotFoundError(f"{file}: cannot read a file of a checkpoint ({error.strerror or error})") from error
-    except pickle.UnpicklingError as error:
-        raise UnsafeFileError(f"{file}: holds more than weights and was not loaded ({shorten_text(error)})") from error
-    except Exception as error:  # Damaged files raise exceptions of many types.
-        raise DataFormatError(f"{file}: not a checkpoint of PyTorch ({shorten_text(error)})") from error
-    net = found.get("net") if isinstance(found, Mapping) else None
-    if not isinstance(net, Mapping) or not all(isinstance(value, Tensor) for value in net.values()):
-        raise DataFormatError(f"{file}: not a checkpoint of GA-DDPG, which has weights by name under 'net'")
+        try:
+            found = load_tensors(content)
+        except pickle.UnpicklingError as error:
+            raise UnsafeFileError(f"holds more than weights ({shorten_text(error)})") from error
+        net = found.get("net") if isinstance(found, Mapping) else None
+        if not isinstance(net, Mapping) or not all(isinstance(value, Tensor) for value in net.values()):
+            raise DataFormatError("weights by name must be under 'net'")
     return {str(name): value for name, value in net.items()}, content
 
 
 def _load_weights(file: Path, module: nn.Module, weights: dict[str, Tensor]) -> None:
-    try:
+    with report_damage(file, *_KIND_AND_ADVICE):
         module.load_state_dict(weights)
-    except RuntimeError as error:
-        raise DataFormatError(f"{file}: weights of another network ({shorten_text(error)})") from error
-    check_finite_weights(file, module)
+        check_finite_weights(module)

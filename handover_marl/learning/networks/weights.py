@@ -18,9 +18,9 @@ import numpy.typing as npt
 import torch
 from torch import nn
 
-from handover_marl.errors import DataFormatError, DataNotFoundError
-from handover_marl.execution.files import shorten_text, write_arrays
-from handover_marl.execution.reading import MAX_FILE_BYTES, check_archive, read_arrays, read_plain_file
+from handover_marl.errors import DataFormatError
+from handover_marl.execution.files import write_arrays
+from handover_marl.execution.reading import MAX_FILE_BYTES, check_archive, read_arrays, read_plain_file, report_damage
 from handover_marl.geometry.arrays import use_default_torch_settings
 
 _FORMAT, _ABOUT = "handover_marl weights 1", "about"
@@ -103,26 +103,18 @@ def read_network_weights(path: str | Path, network_class: type[_Network]) -> tup
         The network in evaluation mode on the CPU, and a hash of the file (8 hexadecimal digits).
     """
     file = Path(path).expanduser()
-    try:
+    kind = network_class.kind
+    advice = f"copy it again, or make one with experiments/training/train_{kind}.py"
+    with report_damage(file, f"weight file of {kind}", advice):
         content = read_plain_file(file, _MAX_BYTES)
         about, arrays = _decode_archive(content)
-        if (about["format"], about["kind"]) != (_FORMAT, network_class.kind):
-            raise ValueError(f"format {about['format']!r} for {about['kind']!r}, expected {_FORMAT!r}")
+        if (about["format"], about["kind"]) != (_FORMAT, kind):
+            raise DataFormatError(f"format {about['format']!r} for {about['kind']!r}, expected {_FORMAT!r}")
         with untrained_networks():
             network = network_class.from_settings(about["settings"])
         counters = {name: value for name, value in network.state_dict().items() if name.endswith(_COUNTERS)}
         network.load_state_dict({name: torch.from_numpy(value) for name, value in arrays.items()} | counters)
-    except OSError as error:
-        raise DataNotFoundError(
-            f"{file}: cannot read these weights ({error.strerror or error}); train some with "
-            f"experiments/training/train_{network_class.kind}.py"
-        ) from error
-    except Exception as error:  # NumPy, zipfile and PyTorch raise exceptions of many types on damaged files
-        raise DataFormatError(
-            f"{file}: not weights of {network_class.kind}, or damaged ({shorten_text(error)}); copy the file again, or "
-            f"make one with experiments/training/train_{network_class.kind}.py"
-        ) from error
-    check_finite_weights(file, network)
+        check_finite_weights(network)
     return network.eval(), hashlib.sha256(content).hexdigest()[:8]
 
 
@@ -133,10 +125,10 @@ def load_tensors(content: bytes) -> Any:
     return torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
 
 
-def check_finite_weights(file: Path, module: nn.Module) -> None:
-    """Raise DataFormatError unless all parameters and buffers of a module, read from `file`, are finite."""
+def check_finite_weights(module: nn.Module) -> None:
+    """Raise DataFormatError unless all parameters and buffers of a module are finite."""
     if not all(bool(torch.isfinite(value).all()) for value in module.state_dict().values()):
-        raise DataFormatError(f"{file}: weights must be finite numbers; the file is damaged")
+        raise DataFormatError("weights must be finite numbers")
 
 
 def _decode_archive(content: bytes) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -103,7 +103,7 @@ def test_random_numbers_of_modules_come_from_the_seed() -> None:
         (stay, {"action_scheme": "joint"}, "unknown action scheme of the receiver 'joint'"),
         (3, {}, "policy must be a function, a PyTorch module, .*, got 3"),
         (receivers.Receiver, {}, "got the policy .*; pass it directly"),
-        ("nowhere.npz", {}, "nowhere.npz: cannot read this policy file"),
+        ("nowhere.npz", {}, "nowhere.npz does not exist; give one that handover_marl.export_policy"),
         (torch.nn.Linear(10, 7), {"features": "grasp", "action_scheme": "cartesian_delta"}, "64 inputs .*'grasp'"),
         (torch.nn.Linear(172, 7), {}, "9 outputs, got 7 outputs"),
         (threading.Lock().acquire, {}, "cannot be sent to worker processes"),
