@@ -110,9 +110,7 @@ class CustomFeatures(ArrayFeatures):
 
     def reset(self, row: int) -> None:
         """Call `reset` of the features of the episode at index `row`, if they have this method."""
-        reset = getattr(self._functions[row], "reset", None)
-        if callable(reset):
-            reset()
+        _run(self._label, getattr(self._functions[row], "reset", lambda: None))
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return the feature vectors (r, size), float32, of the episodes with indices `rows`."""
@@ -128,7 +126,11 @@ class _FunctionScheme(ActionScheme):
 
     def __init__(self, function: Any) -> None:
         self._function, self.size = function, function.size  # type: ignore[misc]
-        self.reset()
+        super().reset()
+
+    def reset(self) -> None:
+        super().reset()
+        getattr(self._function, "reset", lambda: None)()
 
     def compute_action(self, observation: Observation) -> Action:
         action: Action = self._function(self.outputs, observation)

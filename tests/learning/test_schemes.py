@@ -241,6 +241,22 @@ def test_forms_of_own_schemes(choice: Any) -> None:
     np.testing.assert_array_equal(scheme.compute_action(seen()), START)
 
 
+def test_memory_of_own_scheme_functions_is_cleared() -> None:
+    class Mine:
+        size, resets = 1, []  # type: ignore[var-annotated]
+
+        def reset(self) -> None:
+            self.resets.append(1)
+
+        def __call__(self, outputs: Any, observation: Any) -> Any:
+            return START
+
+    scheme = make_scheme("receiver", Mine(), CONTEXT)
+    Mine.resets.clear()
+    scheme.reset()
+    assert Mine.resets == [1]
+
+
 @pytest.mark.parametrize(
     ("make", "agent", "choice", "message"),
     [

@@ -15,7 +15,7 @@ from handover_marl.errors import OptionError
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, ArrayFactory, to_numpy
 from handover_marl.learning.adaptive_giver import OFFER_FEATURES
 from handover_marl.learning.array_features import ArrayFeatures
-from handover_marl.learning.custom_encodings import FEATURES, CustomScheme, is_reference
+from handover_marl.learning.custom_encodings import FEATURES, SCHEME, CustomScheme, is_reference
 from handover_marl.learning.encodings import list_features, make_array_features, make_array_scheme
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
 from handover_marl.learning.policy_files import OBSERVATION, DenseNetwork, PolicySpec, read_policy
@@ -63,7 +63,8 @@ class FunctionPolicy(ArrayPolicy):
         super().__init__(context)
         self.name = name  # type: ignore[misc]
         self.obs_mode, self.label = spec.obs_mode, label
-        encodings = [import_reference(FEATURES, one) for one in (spec.features, spec.actions) if is_reference(one)]
+        choices = ((FEATURES, spec.features), (SCHEME, spec.actions))
+        encodings = [import_reference(kind, one) for kind, one in choices if is_reference(one)]
         self.weights_hash = digest + (hash_object(encodings)[:16] if encodings else "")
         self.function, self.spec, self._wait = function, spec, wait
         self.allocate(1, NUMPY_ARRAYS)
