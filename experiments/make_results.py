@@ -49,10 +49,10 @@ INPUTS = {
     "omg": (POSES, "o"),
     "omg_unchecked_last": (POSES, "o"),
     "omg_hand_aware": (POSES_AND_HAND, "s"),
-    "reactive": (f"{POSES_AND_HAND}; release; validated grasps", "s"),
+    "reactive": (f"{POSES_AND_HAND}; whether the object is released; validated grasps", "s"),
     "gaddpg": ("points of the object", "^"),
     "vision": ("points of objects and hand", "^"),
-    "dagger": (f"{POSE} and of the hand; release; validated grasps", "s"),
+    "dagger": (f"{POSE} and of the hand; whether the object is released; validated grasps", "s"),
 }
 MARKERS = {
     "o": "true poses of objects",
