@@ -5,7 +5,6 @@ from typing import Annotated, Literal
 import tyro
 
 from handover_marl.cli.options import Folder, Progress, Workers
-from handover_marl.errors import OptionError
 from handover_marl.evaluation.rendering import render_scene
 from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import check_path, require_modules
@@ -102,12 +101,7 @@ def add_motion(
     from handover_marl.assets.building.custom_scenes import CustomSceneFolder, MotionConfig
     from handover_marl.assets.building.custom_scenes.motion_tables import read_motion_table
 
-    chosen = frame if frame in ("world", "table") else _parse_numbers("frame", frame)
-    offsets = [
-        None if text is None else _parse_numbers(name, text)
-        for name, text in (("object_offset", object_offset), ("wrist_offset", wrist_offset))
-    ]
-    config = MotionConfig(chosen, length, time, quaternion, fingers, max_gap, *offsets)
+    config = MotionConfig(frame, length, time, quaternion, fingers, max_gap, object_offset, wrist_offset)
     if preview is not None:
         require_modules("the preview", "plot", "matplotlib")
         table = read_motion_table(motion, config)
@@ -174,14 +168,6 @@ def preview(
         out: Output file: .html, .png, .gif or .mp4.
     """
     print(render_scene(scene, out, dataset=f"own:{folder}", physics="fast", progress=progress), flush=True)
-
-
-def _parse_numbers(name: str, text: str) -> tuple[float, ...]:
-    try:
-        return tuple(float(part) for part in text.split(","))
-    except ValueError as error:
-        names = "world, table or " if name == "frame" else ""
-        raise OptionError(f"{name} must be {names}seven numbers, got {text!r}") from error
 
 
 def _parse_share(text: str) -> float | tuple[str, ...]:

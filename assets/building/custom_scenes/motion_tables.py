@@ -54,7 +54,7 @@ class MotionConfig:
     Attributes:
         frame: "world" (origin below the table, z up, the robot's base at (0.61, -0.50, 0.875) m), "table" (the
             same axes with the origin at the height of the table's surface), or the pose of the recording's frame in
-            the world: seven numbers, position (m) and quaternion xyzw.
+            the world: seven numbers, position (m) and quaternion xyzw, or a text of them with commas.
         length: Unit of positions: m, cm or mm.
         time: Unit of times: s, ms, us or ns.
         quaternion: Order of quaternions in NPZ files: xyzw or wxyz; CSV columns have names.
@@ -75,23 +75,22 @@ class MotionConfig:
     quaternion: str = "xyzw"
     fingers: str = "euler"
     max_gap: float = 0.2
-    object_offset: tuple[float, ...] | None = None
-    wrist_offset: tuple[float, ...] | None = None
+    object_offset: str | tuple[float, ...] | None = None
+    wrist_offset: str | tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         check_name("length", self.length, _LENGTHS)
         check_name("time", self.time, _TIMES)
         check_name("quaternion", self.quaternion, ("xyzw", "wxyz"))
         check_name("fingers", self.fingers, ("euler", "rotvec"))
-        if isinstance(self.frame, str):
-            check_name("frame", self.frame, _FRAMES)
         for name in ("frame", "object_offset", "wrist_offset"):
             pose = getattr(self, name)
-            if pose is None or isinstance(pose, str):
+            if pose is None or (name == "frame" and isinstance(pose, str) and pose in _FRAMES):
                 continue
+            parts = pose.split(",") if isinstance(pose, str) else pose
             numbers = np.zeros(7)
             with contextlib.suppress(TypeError, ValueError):
-                numbers[:] = np.array(pose, dtype=np.float64).reshape(7)
+                numbers[:] = np.array(parts, dtype=np.float64).reshape(7)
             norm = float(np.linalg.norm(numbers[3:]))
             if not (np.isfinite(numbers).all() and abs(norm - 1.0) < _MAX_NORM_ERROR):
                 names = "'world', 'table' or " if name == "frame" else ""
