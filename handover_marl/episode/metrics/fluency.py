@@ -13,7 +13,7 @@ Transactions on Robotics 37(6), 2021. RULA (rapid upper limb assessment) rates p
 Ergonomics 24(2), 1993.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -151,28 +151,29 @@ class FluencyMetrics:
             the release or the end, for an assumed shoulder; None if there is no hand.
     """
 
-    handover_time: float | None
-    human_idle: float
-    robot_idle: float
-    concurrent: float
-    functional_delay: float | None
-    max_robot_object_force: float
-    min_distance: float | None
-    giver_path: float
-    giver_smoothness: float | None
-    reach: float
-    max_robot_hand_force: float | None = None
-    robot_hand_impulse: float | None = None
-    giver_jerk: float | None = None
-    gripper_jerk: float | None = None
-    gripper_path: float | None = None
-    gripper_max_speed: float | None = None
-    gripper_mean_speed: float | None = None
-    exchange_time: float | None = None
-    gripper_contact_speed: float | None = None
-    robot_object_impulse: float | None = None
-    min_separation_margin: float | None = None
-    giver_rula: float | None = None
+    # Metadata: unit in tables, and factor to this unit.
+    handover_time: float | None = field(metadata={"unit": "s"})
+    human_idle: float = field(metadata={"unit": "%", "scale": 100.0})
+    robot_idle: float = field(metadata={"unit": "%", "scale": 100.0})
+    concurrent: float = field(metadata={"unit": "%", "scale": 100.0})
+    functional_delay: float | None = field(metadata={"unit": "%", "scale": 100.0})
+    max_robot_object_force: float = field(metadata={"unit": "N"})
+    min_distance: float | None = field(metadata={"unit": "cm", "scale": 100.0})
+    giver_path: float = field(metadata={"unit": "m"})
+    giver_smoothness: float | None = field(metadata={"unit": "SPARC"})
+    reach: float = field(metadata={"unit": "m"})
+    max_robot_hand_force: float | None = field(metadata={"unit": "N"})
+    robot_hand_impulse: float | None = field(metadata={"unit": "N s"})
+    giver_jerk: float | None = field(metadata={"unit": "m/s^3"})
+    gripper_jerk: float | None = field(metadata={"unit": "m/s^3"})
+    gripper_path: float | None = field(metadata={"unit": "m"})
+    gripper_max_speed: float | None = field(metadata={"unit": "m/s"})
+    gripper_mean_speed: float | None = field(metadata={"unit": "m/s"})
+    exchange_time: float | None = field(metadata={"unit": "s"})
+    gripper_contact_speed: float | None = field(metadata={"unit": "m/s"})
+    robot_object_impulse: float | None = field(metadata={"unit": "N s"})
+    min_separation_margin: float | None = field(metadata={"unit": "cm", "scale": 100.0})
+    giver_rula: float | None
 
 
 def compute_fluency(trace: EpisodeTrace) -> FluencyMetrics:

@@ -7,12 +7,13 @@ import csv
 import io
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Literal
 
 import numpy as np
 import scipy  # loads scipy.stats, which takes a second, at its first use
 
+from handover_marl.episode.metrics.fluency import FluencyMetrics
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError, check_name
 from handover_marl.evaluation.results import EpisodeResult
@@ -158,30 +159,7 @@ TIMES = (Column("exec_s", "s"), Column("plan_s", "s"), Column("total_s", "s"))
 #: Time that passed during decisions, and early grabs; of evaluations with inference time.
 LATE, EARLY_GRAB = Column("late_s", "s"), Column("early_grab", "%", 100.0)
 #: The metrics of `FluencyMetrics`, in its order.
-FLUENCY = (
-    Column("handover_time", "s"),
-    Column("human_idle", "%", 100.0),
-    Column("robot_idle", "%", 100.0),
-    Column("concurrent", "%", 100.0),
-    Column("functional_delay", "%", 100.0),
-    Column("max_robot_object_force", "N"),
-    Column("min_distance", "cm", 100.0),
-    Column("giver_path", "m"),
-    Column("giver_smoothness", "SPARC"),
-    Column("reach", "m"),
-    Column("max_robot_hand_force", "N"),
-    Column("robot_hand_impulse", "N s"),
-    Column("giver_jerk", "m/s^3"),
-    Column("gripper_jerk", "m/s^3"),
-    Column("gripper_path", "m"),
-    Column("gripper_max_speed", "m/s"),
-    Column("gripper_mean_speed", "m/s"),
-    Column("exchange_time", "s"),
-    Column("gripper_contact_speed", "m/s"),
-    Column("robot_object_impulse", "N s"),
-    Column("min_separation_margin", "cm", 100.0),
-    Column("giver_rula"),
-)
+FLUENCY = tuple(Column(part.name, **part.metadata) for part in fields(FluencyMetrics))
 
 
 @dataclass(frozen=True)
