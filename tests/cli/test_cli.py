@@ -15,10 +15,7 @@ from handover_marl.cli.folders import check_data_folder, check_installation
 from handover_marl.cli.options import PairArguments, ReceiverArguments, RenderArguments, SceneArguments
 from handover_marl.datasets.dexycb.assets import write_hand_assets
 from handover_marl.datasets.dexycb.mano import read_mano_model
-from handover_marl.datasets.official import (
-    FileOrigin,
-    find_hand_origin,
-)
+from handover_marl.datasets.official import FileOrigin, find_hand_origin
 from handover_marl.evaluation import episode_runner
 from handover_marl.evaluation.config import EvaluationConfig
 from handover_marl.execution.options import is_installed

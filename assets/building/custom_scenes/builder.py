@@ -23,7 +23,7 @@ from handover_marl.assets.building.custom_scenes.motion_tables import (
 )
 from handover_marl.assets.building.custom_scenes.object_meshes import MeshConfig, make_object_mesh, write_object
 from handover_marl.assets.building.grasps import make_robot_grasps
-from handover_marl.assets.hand_model import SIDES, SUBJECTS, Side, make_hand_geometry
+from handover_marl.assets.hand_model import Side, make_hand_geometry
 from handover_marl.assets.shipped import URDF_NAME, find_object_urdf
 from handover_marl.config import MAX_OBJECTS, OBJECT_DOF
 from handover_marl.datasets.custom.dataset import (
@@ -183,10 +183,8 @@ class CustomSceneFolder:
             check_name("object", item, self.content.object_names.values())
         if len(names) > MAX_OBJECTS or len(set(names)) < len(names):
             raise OptionError(f"others must be at most {MAX_OBJECTS - 1} different classes, got {', '.join(others)}")
-        check_name("side", side, SIDES)
-        if hand is not None:
-            check_name("hand", hand, SUBJECTS)
-        person = check_file_name("subject", subject)
+        check_file_name("subject", subject)
+        scene = CustomScene(f"{subject}/{recording or 0}", side, hand, names)
         source = motion if isinstance(motion, Mapping) else check_path("motion", motion)
         table = read_motion_table(source, config or MotionConfig())
         missing, unknown = set(others) - set(table.bodies), set(table.bodies) - {OBJECT, *others}
@@ -195,8 +193,6 @@ class CustomSceneFolder:
                 f"the motion has {'no ' if missing else ''}poses of {min(missing or unknown)!r}; the names in others "
                 "must be those of its columns"
             )
-        if hand is not None and table.wrist is None:
-            raise DataFormatError("the motion has no wrist; add its poses, or pass hand=None")
         urdfs = [self._find_urdf(item) for item in names]
         bodies = {name: read_collision_mesh(urdf)[0] for name, urdf in zip((OBJECT, *others), urdfs, strict=True)}
         check_objects(make_trajectory(table, others, None, None)["object_dof"], bodies)
@@ -210,10 +206,11 @@ class CustomSceneFolder:
         check_motion(arrays["object_dof"], arrays["hand_dof"], first, last, bodies)
         with self._change(MOTION_FOLDER) as content:
             number = len(content.scenes)
-            name = f"{person}/{recording or f'{number:06d}'}"
-            if name in [other.name for other in content.scenes]:
-                raise OptionError(f"recording must be new, got {name!r}, which {self.folder} has already; rename it")
-            scene = CustomScene(name, side, hand, names, table.repairs)
+            scene = replace(scene, name=f"{subject}/{recording or f'{number:06d}'}", repairs=table.repairs)
+            if scene.name in [other.name for other in content.scenes]:
+                raise OptionError(
+                    f"recording must be new, got {scene.name!r}, which {self.folder} has already; rename it"
+                )
             write_arrays(get_motion_path(self.folder, number), arrays)
             # The new scene is in no split until the splits are made again.
             replace(content, scenes=(*content.scenes, scene)).write(self.folder)

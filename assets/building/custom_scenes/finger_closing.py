@@ -40,7 +40,7 @@ def close_hand(table: MotionTable, solid: Solid, hand: int, side: Side) -> tuple
     but its wrist is moved by up to `MAX_SHIFT` if the hand would be inside of the object.
     """
     if table.wrist is None:
-        raise DataFormatError("fingers need a wrist; add its poses or pass hand=None")
+        raise DataFormatError("the motion has no wrist; add its poses, or pass hand=None")
     first, end = table.wrist_rows
     positions = table.bodies[OBJECT][:, :3]
     moved = np.flatnonzero(np.linalg.norm(positions - positions[0], axis=1) > _PICK_UP_DISTANCE)

@@ -21,13 +21,9 @@ from handover_marl.config import HAND_DOF, OBJECT_DOF
 from handover_marl.datasets.custom.motion_checks import check_motion
 from handover_marl.datasets.custom.scene_file import ALL_SCENES, read_scene_file
 from handover_marl.datasets.dataset import Dataset, Scene, SceneAssets, SceneInfo
-from handover_marl.datasets.official import (
-    check_grasps,
-    read_motion,
-    require_file,
-)
+from handover_marl.datasets.official import check_grasps, read_motion, require_file
 from handover_marl.datasets.splits import SPLITS
-from handover_marl.errors import DataFormatError, DataNotFoundError, UnknownNameError, check_name
+from handover_marl.errors import DataNotFoundError, UnknownNameError, check_name
 from handover_marl.execution.reading import cached_by_file, read_arrays, read_plain_file, report_damage
 from handover_marl.geometry.model_files.meshes import read_collision_mesh
 from handover_marl.geometry.model_files.urdf import list_mesh_references, read_model_mtimes
@@ -97,18 +93,16 @@ class CustomDataset(Dataset):
         path, has_hand = get_motion_path(self.folder, scene_id), self.content.scenes[scene_id].hand is not None
         shapes = {"object_dof": (len(info.object_ids), OBJECT_DOF), "hand_dof": (HAND_DOF,)}
         object_dof, hand_dof = read_motion(path, shapes, _ADVICE)
-        first, last = read_arrays(path, ("hand_span",))["hand_span"].tolist()
-        if not (0 <= first <= last < len(hand_dof) if has_hand else first == last == -1):
-            rule = "frames of the motion" if has_hand else "-1 for a scene without a hand"
-            raise DataFormatError(f"{path}: hand_span must be {rule}, got {first} and {last}; {_ADVICE}")
-        start, end = (first, last) if has_hand else (None, None)
         assets = self._find_scene_assets(info)
         meshes = zip(info.object_names, assets.objects, strict=True)
         bodies = {name: read_collision_mesh(urdf)[0] for name, urdf in meshes}
-        try:
+        with report_damage(path, "motion file", _ADVICE):
+            first, last = read_arrays(path, ("hand_span",))["hand_span"].tolist()
+            if not (0 <= first <= last < len(hand_dof) if has_hand else first == last == -1):
+                rule = "frames of the motion" if has_hand else "-1 for a scene without a hand"
+                raise ValueError(f"hand_span must be {rule}, got {first} and {last}")
+            start, end = (first, last) if has_hand else (None, None)
             check_motion(object_dof, hand_dof, start, end, bodies)
-        except DataFormatError as error:
-            raise DataFormatError(f"{path}: {error}") from None
         return Scene(info, self.name, assets, object_dof, hand_dof, start, end)
 
     def find_object_urdf(self, object_name: str) -> Path:

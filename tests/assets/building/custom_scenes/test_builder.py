@@ -252,3 +252,6 @@ def test_impossible_values_in_edited_files(kind: str, scenes: CustomSceneFolder,
     np.savez(path, **arrays)
     with pytest.raises(DataFormatError, match=message):
         CustomSceneFolder(folder).check()
+    np.savez(path, **{**arrays, key: arrays[key][:1]})
+    with pytest.raises(DataFormatError, match="not a readable"):
+        CustomSceneFolder(folder).check()

@@ -55,11 +55,7 @@ def test_damaged_recordings_are_refused(kind: str) -> None:
     ("before", "after", "message"),
     [
         ("object_qw", "object_q", "column 'object_qw' is missing"),
-        (
-            "object_y",
-            "object_x",
-            "column 'object_x' must be there once, got it twice",
-        ),
+        ("object_y", "object_x", "column 'object_x' must be there once, got it twice"),
         ("0.6,", "far,", "column 'object_x' must be a number in line 2, got 'far'"),
         ("\n0,", "\n0,0,", "line 2 must have 15 cells, got 16"),
         ("time,", ",", "column '' is unknown; columns are time, "),
