@@ -126,67 +126,69 @@ class MotionTable:
 
 def read_motion_table(source: "str | Path | Mapping[str, npt.ArrayLike]", config: MotionConfig) -> MotionTable:
     """Read recorded poses, with the units of `config`, from a file or arrays; faulty ones raise `DataFormatError`."""
-    if isinstance(source, Mapping):
-        name, arrays = "the motion", dict(source)
-    else:
-        path = Path(source).expanduser()
-        name, (arrays, config) = str(path), _read_file(path, config)
+    name = "the motion" if isinstance(source, Mapping) else str(Path(source).expanduser())
     try:
-        return _make_table(arrays, config)
-    except ValueError as error:
+        if isinstance(source, Mapping):
+            return _make_table(source, config)
+        return _make_table(*_read_file(Path(name), config))
+    except DataFormatError:
+        raise
+    except (ValueError, csv.Error) as error:
         raise DataFormatError(f"{name}: {error}") from None
 
 
 def _read_file(path: Path, config: MotionConfig) -> tuple[dict[str, Any], MotionConfig]:
-    """Return the arrays in a file by name, and the configuration with the units and orders that the file states."""
+    """Return the arrays in a file by name, and the configuration with the units and orders that the file states.
+
+    Contents that are no motion raise a `ValueError`.
+    """
     if path.suffix.lower() not in (".csv", ".npz"):
-        raise DataFormatError(f"{path}: a motion must be a .csv or .npz file, got {path.suffix!r}; convert it")
+        raise ValueError(f"a motion must be a .csv or .npz file, got {path.suffix!r}; convert it")
     with report_damage(path, "motion file", "give the path of a .csv or .npz file, or write it again"):
         if path.suffix.lower() == ".npz":
             return dict(read_arrays(path, largest=_MAX_BYTES)), config
         text = read_plain_file(path, _MAX_BYTES).decode("utf-8-sig")
     # Columns of quaternions have names.
     config = replace(config, quaternion="xyzw")
-    is_motive = text.startswith("Format Version,")
-    if not is_motive and "Rigid Body" in text:
-        raise DataFormatError(
-            f"{path}: a file of Motive must start with its line 'Format Version,...', got "
+    if text.startswith("Format Version,"):
+        return _parse_motive(text, config)
+    if "Rigid Body" in text:
+        raise ValueError(
+            f"a file of Motive must start with its line 'Format Version,...', got "
             f"{shorten_text(text.partition(chr(10))[0])!r}; export it again with all header lines"
         )
-    return _parse_motive(path, text, config) if is_motive else (_parse_csv(path, text), config)
+    return _parse_csv(text), config
 
 
-def _parse_motive(path: Path, text: str, config: MotionConfig) -> tuple[dict[str, Any], MotionConfig]:
+def _parse_motive(text: str, config: MotionConfig) -> tuple[dict[str, Any], MotionConfig]:
     """Return times and poses (T, 7) by name from a CSV file of Motive 1.2 to 1.25, and `config` with its units."""
     lines = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip(", ")]
     rows = list(csv.reader(line for _, line in lines))
     settings = dict(zip(rows[0][::2], rows[0][1::2], strict=False))
     for key, valid in (("Rotation Type", ("Quaternion",)), ("Length Units", tuple(_MOTIVE_LENGTHS))):
         if settings.get(key) not in valid:
-            raise DataFormatError(
-                f"{path}: {key} in the first line must be {' or '.join(valid)}, got "
-                f"{shorten_text(settings.get(key, 'none'))}; export it again"
+            raise ValueError(
+                f"{key} in the first line must be {' or '.join(valid)}, got {shorten_text(settings.get(key, 'none'))}; "
+                "export it again"
             )
+    parts = [("Position", axis) for axis in "XYZ"] + [("Rotation", axis) for axis in "XYZW"]
     try:
         first = 1 + next(number for number, row in enumerate(rows) if row[0] == "Frame")
         # Lines of type, name and ID of the columns, in newer formats of the parent, then of the part and the axis.
         columns = [*zip(rows[1], rows[2], rows[first - 2], rows[first - 1], strict=True)]
-        values = _parse_rows(path, lines[first:], ",", [" ".join(parts[1:]) for parts in columns])
-        arrays: dict[str, Any] = {TIME: values[:, 1]}
-        for name in dict.fromkeys(name for kind, name, *_ in columns if kind == "Rigid Body"):
-            keys = [("Position", axis) for axis in "XYZ"] + [("Rotation", axis) for axis in "XYZW"]
-            arrays[name] = values[:, [columns.index(("Rigid Body", name, *key)) for key in keys]]
-        return arrays, replace(config, time="s", length=_MOTIVE_LENGTHS[settings["Length Units"]])
-    except DataFormatError:
-        raise
-    except (ValueError, KeyError, IndexError, StopIteration) as error:
-        raise DataFormatError(
-            f"{path}: not a CSV file of Motive with rigid bodies ({shorten_text(repr(error))}); export it with the "
-            "rotation type Quaternion, header lines and lengths in m, cm or mm"
+        names = dict.fromkeys(name for kind, name, *_ in columns if kind == "Rigid Body")
+        places = {name: [columns.index(("Rigid Body", name, *part)) for part in parts] for name in names}
+    except (ValueError, IndexError, StopIteration) as error:
+        raise ValueError(
+            f"not a CSV file of Motive with rigid bodies ({shorten_text(repr(error))}); export it with the rotation "
+            "type Quaternion, header lines and lengths in m, cm or mm"
         ) from error
+    values = _parse_rows(lines[first:], ",", [" ".join(words[1:]) for words in columns])
+    arrays = {TIME: values[:, 1], **{name: values[:, numbers] for name, numbers in places.items()}}
+    return arrays, replace(config, time="s", length=_MOTIVE_LENGTHS[settings["Length Units"]])
 
 
-def _parse_csv(path: Path, text: str) -> dict[str, Any]:
+def _parse_csv(text: str) -> dict[str, Any]:
     """Return the arrays in a CSV file by name; empty cells are NaN.
 
     Cells are separated by commas, or by semicolons or tabs, which allow decimal commas.
@@ -194,57 +196,51 @@ def _parse_csv(path: Path, text: str) -> dict[str, Any]:
     lines = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip()]
     lines = [(number, line) for number, line in lines if not line.startswith(("#", "sep="))]
     if len(lines) < 2:
-        raise DataFormatError(f"{path}: the file {'has no rows' if lines else 'is empty'}; export it again")
-    separator = max(",", ";", "\t", key=lines[0][1].count)
-    header = [cell.strip() for cell in lines[0][1].split(separator)]
-    if re.fullmatch(r"[-+.,;\s\deE]*", lines[0][1]):
-        raise DataFormatError(
-            f"{path}: the first line must have the names of the columns, such as {TIME},{OBJECT}_x, got "
-            f"{shorten_text(lines[0][1])!r}; add it"
+        raise ValueError(f"the file {'has no rows' if lines else 'is empty'}; export it again")
+    first_line = lines[0][1]
+    if re.fullmatch(r"[-+.,;\s\deE]*", first_line):
+        raise ValueError(
+            f"the first line must have the names of the columns, such as {TIME},{OBJECT}_x, got "
+            f"{shorten_text(first_line)!r}; add it"
         )
-    columns = dict(zip(header, _parse_rows(path, lines[1:], separator, header).T, strict=True))
-    if len(columns) < len(header):
-        twice = next(name for name in header if header.count(name) > 1)
-        raise DataFormatError(f"{path}: column {shorten_text(twice)!r} must be there once, got it twice; rename one")
-
-    def take(names: Sequence[str]) -> Array:
-        missing = [name for name in names if name not in columns]
-        if missing:
-            raise DataFormatError(
-                f"{path}: column {shorten_text(missing[0])!r} is missing; it belongs to {', '.join(names[:7])}"
+    separator = max(",", ";", "\t", key=first_line.count)
+    header = [cell.strip() for cell in first_line.split(separator)]
+    for name in header:
+        if header.count(name) > 1:
+            raise ValueError(f"column {shorten_text(name)!r} must be there once, got it twice; rename one")
+    values = _parse_rows(lines[1:], separator, header)
+    bodies = dict.fromkeys(body for body, _, part in (name.rpartition("_") for name in header) if part in _PARTS)
+    names = {"fingers": [f"finger_{number}" for number in range(N_FINGER_ANGLES)]}
+    names |= {body: [f"{body}_{part}" for part in _PARTS] for body in bodies if body}
+    arrays: dict[str, Any] = {TIME: values[:, header.index(TIME)]} if TIME in header else {}
+    for key, columns in names.items():
+        missing = [name for name in columns if name not in header]
+        if 0 < len(missing) < len(columns):
+            raise ValueError(f"column {shorten_text(missing[0])!r} is missing; it belongs to {', '.join(columns[:7])}")
+        if not missing:
+            arrays[key] = values[:, [header.index(name) for name in columns]]
+    for name in header:
+        if name != TIME and not any(name in columns for columns in names.values()):
+            raise ValueError(
+                f"column {shorten_text(name)!r} is unknown; columns are {TIME}, BODY_x, _y, _z, _qx, _qy, _qz, _qw and "
+                "finger_0 to finger_44; rename or remove it"
             )
-        return np.stack([columns.pop(name) for name in names], axis=1)
-
-    arrays: dict[str, Any] = {TIME: columns.pop(TIME)} if TIME in columns else {}
-    if any(name.startswith("finger_") for name in columns):
-        arrays["fingers"] = take([f"finger_{number}" for number in range(N_FINGER_ANGLES)])
-    while columns:
-        name = next(iter(columns))
-        body, _, part = name.rpartition("_")
-        if not body or part not in _PARTS:
-            raise DataFormatError(
-                f"{path}: column {shorten_text(name)!r} is unknown; columns are {TIME}, BODY_x, _y, _z, _qx, _qy, _qz, "
-                "_qw and finger_0 to finger_44; rename or remove it"
-            )
-        arrays[body] = take([f"{body}_{part}" for part in _PARTS])
     return arrays
 
 
-def _parse_rows(path: Path, lines: Sequence[tuple[int, str]], separator: str, columns: Sequence[str]) -> Array:
+def _parse_rows(lines: Sequence[tuple[int, str]], separator: str, columns: Sequence[str]) -> Array:
     """Return the numbers (T, c) in `lines`, pairs of a line's number in the file and its text; empty cells are NaN."""
     values = np.empty((len(lines), len(columns)))
     for row, (number, line) in enumerate(lines):
         cells = line.split(separator)
         if len(cells) != len(columns):
-            raise DataFormatError(
-                f"{path}: line {number} must have {len(columns)} cells, got {len(cells)}; export it again"
-            )
+            raise ValueError(f"line {number} must have {len(columns)} cells, got {len(cells)}; export it again")
         for column, cell in enumerate(cells):
             try:
                 values[row, column] = float(cell.replace(",", ".").strip() or "nan")
             except ValueError:
-                raise DataFormatError(
-                    f"{path}: column {shorten_text(columns[column])!r} must be a number in line {number}, got "
+                raise ValueError(
+                    f"column {shorten_text(columns[column])!r} must be a number in line {number}, got "
                     f"{shorten_text(cell)!r}; correct it, or leave it empty if the body was not tracked"
                 ) from None
     return values

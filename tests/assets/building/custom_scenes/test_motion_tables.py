@@ -143,6 +143,7 @@ def test_files_of_motive_and_offsets_of_markers(old: bool, tmp_path: Path) -> No
     ("before", "after", "message"),
     [
         ("object", "Mug", "object is missing; .* this one has time, Mug, wrist; rename"),
+        ("1.2", "1" * 200_000, r"take\.csv: field larger than field limit"),
         ("Quaternion", "XYZ", "Rotation Type in the first line must be Quaternion, got XYZ"),
         ("Length Units,Millimeters", "", "Length Units in the first line must be Meters or .*, got none"),
         ("0.600000", "abc", "column 'Name Time .Seconds.' must be a number in line 45, got 'abc'"),
