@@ -141,8 +141,7 @@ def run_render(
         target: Point in the world frame at the center of the outside camera's image (m); default: 0.45 -0.2 1.15.
         vertical_fov: Vertical field of view of the outside camera (degrees); default: 54.
     """
-    size, pose = {"width": width, "height": height}, {"position": position, "target": target}
-    given = {**size, **pose, "vertical_fov": vertical_fov}
+    given = {"width": width, "height": height, "position": position, "target": target, "vertical_fov": vertical_fov}
     camera: Any = {name: value for name, value in given.items() if value is not None}
     options: Any = evaluation.get_fields() | {"receiver": receiver, "progress": progress, "trust": trust}
     # Without these options, each kind of file has its own default camera.
