@@ -252,41 +252,32 @@ class BatchedEnvGroup:
     def reset(self, rows: Indices, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
         """Start episodes, and simulate them until an action scheme needs outputs; see `EnvGroup.reset`."""
         for row, seed in zip(rows.tolist(), seeds, strict=True):
-            before = self._rngs_before[row]
-            if (seed is not None or options) and self._next[row] != _NONE and before is not None:
-                # Forget the next episode, as if its scene had not been drawn.
-                self._rngs[row], self._partner_rngs[row] = before
-                self._next[row] = _NONE
+            if seed is not None or options:
+                self._discard_next(row)
             if seed is not None:
-                self._rngs[row], self._partner_rngs[row] = (seeding.np_random(seed)[0] for _ in range(2))
-        left, episodes = rows, self._episodes
+                self._rngs[row] = seeding.np_random(seed)[0]
+                self._partner_rngs[row] = seeding.np_random(seed)[0]
+        episodes, left = self._episodes, rows
         for _ in range(MAX_EPISODES_WITHOUT_OUTPUTS):
             for row in left.tolist():
-                if self._next[row] == _NONE:
-                    self._start(row, int(self._current[row]), options)
-                else:
-                    self._current[row], self._free[row], self._next[row] = self._next[row], self._current[row], _NONE
+                self._begin(row, options)
             current = self.arrays.asarray(self._current[left])
             while len(waiting := episodes.find_rows_without_outputs(current)):
                 episodes.clear_rewards(waiting)
                 episodes.advance(waiting, {})
             left = left[to_numpy(episodes.have_ended(current))]
             if not len(left):
-                break
-        else:
-            raise make_no_outputs_error(self._agents[0])
-        current = self.arrays.asarray(self._current[rows])
-        episodes.clear_rewards(current)
-        return episodes.make_result(current)
+                current = self.arrays.asarray(self._current[rows])
+                episodes.clear_rewards(current)
+                return episodes.make_result(current)
+        raise make_no_outputs_error(self._agents[0])
 
     def step(self, rows: Indices, actions: ByAgent) -> EnvResult:
         """Let the agents act for one control period, or until a scheme needs outputs; see `EnvGroup.step`."""
         episodes, current = self._episodes, self.arrays.asarray(self._current[rows])
-        without_next = rows[self._next[rows] == _NONE] if self._prefetches else rows[:0]
-        for row in without_next.tolist():
-            self._rngs_before[row] = copy.deepcopy((self._rngs[row], self._partner_rngs[row]))
-            self._start(row, int(self._free[row]), None)
-            self._next[row] = self._free[row]
+        if self._prefetches:
+            for row in rows[self._next[rows] == _NONE].tolist():
+                self._start_next(row)
         episodes.set_outputs(current, actions)
         episodes.clear_rewards(current)
         active = current
@@ -303,6 +294,28 @@ class BatchedEnvGroup:
     def close(self) -> None:
         """Free the simulation."""
         self._episodes.close()
+
+    def _begin(self, row: int, options: Mapping[str, Any] | None) -> None:
+        """Make the next episode of environment `row` its current one, or start an episode if there is no next one."""
+        if self._next[row] == _NONE:
+            self._start(row, int(self._current[row]), options)
+        else:
+            self._free[row] = self._current[row]
+            self._current[row] = self._next[row]
+            self._next[row] = _NONE
+
+    def _start_next(self, row: int) -> None:
+        """Start the next episode of environment `row` beside its current one."""
+        self._rngs_before[row] = copy.deepcopy((self._rngs[row], self._partner_rngs[row]))
+        self._start(row, int(self._free[row]), None)
+        self._next[row] = self._free[row]
+
+    def _discard_next(self, row: int) -> None:
+        """Forget the next episode of environment `row`, if there is one, as if its scene had not been drawn."""
+        before = self._rngs_before[row]
+        if self._next[row] != _NONE and before is not None:
+            self._rngs[row], self._partner_rngs[row] = before
+            self._next[row] = _NONE
 
     def _start(self, row: int, episode: int, options: Mapping[str, Any] | None) -> None:
         """Start an episode of environment `row` as episode `episode` of the simulation; `options` may set the scene."""
