@@ -18,9 +18,9 @@ from tests.integration.test_reference import STRIDE
 pytestmark = pytest.mark.slow
 
 NAMES = sorted(path.stem for path in Path(RECORDINGS).glob("gaddpg/*.npz")) if RECORDINGS else ["none"]
-#: Steps of an episode that are compared: all decisions, but not the long motions after them. One episode is played
-#: to its end.
-MAX_STEPS, WHOLE = 3600, "gaddpg_scene105_hold"
+#: Steps of an episode that are compared, with some decisions after the wait (s); one with all decisions, but not the
+#: long motions after them. One episode is played to its end.
+MAX_STEPS, ALL_DECISIONS, WHOLE = {0.0: 1000, 3.0: 3500}, "gaddpg_scene637_wo_hold", "gaddpg_scene105_hold"
 #: Recording that was made after another one in the same process, in another world. The scripts query PyBullet's first
 #: client for inverse kinematics. That was the client of the first world, so every query started from the robot's last
 #: joints in that world.
@@ -96,7 +96,8 @@ def test_decisions_actions_and_outcome_are_the_recorded_ones(name: str, recordin
     dataset = OfficialDataset(real_data, robot="panda_camera")
     with np.load(recordings / f"gaddpg/{name}.npz") as archive:
         expected = dict(archive)
-    end = int(expected["steps"]) if name == WHOLE else MAX_STEPS
+    ends = {WHOLE: int(expected["steps"]), ALL_DECISIONS: 3200}
+    end = ends.get(name, MAX_STEPS[float(expected["wait"])])
     network, joints, log = StandIn(expected), Joints(), ActionRecorder()
     receiver = Watched(make_policy_context(dataset), network=network, wait=float(expected["wait"]))
     receiver.joints = JOINTS_ELSEWHERE if name == ELSEWHERE else None

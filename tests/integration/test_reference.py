@@ -10,7 +10,6 @@ from handover_marl import receivers
 from handover_marl.datasets import OfficialDataset
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import ActionRecorder, EpisodeCallback, run_episode
-from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.receivers.omg import OmgReceiver
 from tests.conftest import RECORDINGS
 from tests.helpers.playing import play
@@ -18,23 +17,25 @@ from tests.helpers.playing import play
 pytestmark = pytest.mark.slow
 
 STRIDE = 10
-#: Steps after which recordings are cut, except those of successful handovers; what happens later is in these, too.
-MAX_STEPS = 3500
+#: Steps after which recordings are cut: after the receiver's first decisions or, without it, after the hand's first
+#: motion. One successful handover is played to its end; what happens later is in it, too.
+MAX_STEPS, MAX_STEPS_WITHOUT_PLAN, WHOLE = 3300, 1500, "scene344_yang"
 NAMES = sorted(path.stem for path in Path(RECORDINGS).glob("scene*.npz")) if RECORDINGS else ["none"]
 if RECORDINGS and not NAMES:
     raise FileNotFoundError(f"no recordings (scene*.npz) in {RECORDINGS}")
 SEVERAL = sorted(path.stem for path in Path(RECORDINGS).glob("multi/*.npz")) if RECORDINGS else ["none"]
 YANG = [name for name in NAMES if name.endswith("yang")] or ["none"]
-#: Recordings with the receiver that are played; three of them end in success, two without.
+#: Recordings with the receiver that are played.
 PLAYED = [name for name in YANG if name[5:8] not in ("034", "109", "159")]
 
 
 def read_recording(recordings: Path, name: str) -> dict[str, np.ndarray]:
-    """Read a recording; the actions are cut after `MAX_STEPS`, except those of the receiver's successes."""
+    """Read a recording, and cut its actions."""
     with np.load(recordings / f"{name}.npz") as archive:
         content = dict(archive)
-    if name not in YANG or content["status"] != EpisodeStatus.SUCCESS:
-        content["action"] = content["action"][:MAX_STEPS]
+    if name != WHOLE:
+        is_planned = content.get("policy") in ("yang", "demo", "knock")
+        content["action"] = content["action"][: MAX_STEPS if is_planned else MAX_STEPS_WITHOUT_PLAN]
     return content
 
 
