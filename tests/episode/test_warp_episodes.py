@@ -8,19 +8,19 @@ import pytest
 pytest.importorskip("mujoco_warp", reason="needs the extra `warp`")
 
 from handover_marl.config import OFFICIAL_CONFIG
-from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode_batch import EpisodeBatch
 from handover_marl.episode.referee import RELEASE_REASONS, EpisodeStatus, ReleaseReason
 from handover_marl.geometry.arrays import to_numpy
 from handover_marl.simulation.engines import WARP, BatchBackend
+from tests.simulation.test_worlds import load_late_scene
 
 pytestmark = pytest.mark.slow
 
 # As many rows as in the tests of the worlds, so that they share kernels.
 COUNT = 3
-#: Scenes in which the object is picked up after some 400 steps at twice the recorded speed.
-SCENES = (8, 211)
-HORIZON, PERIOD = 900, 200
+#: Scenes in which the object is picked up after some 100 steps at twice the recorded speed.
+SCENES = (load_late_scene(8, 600), load_late_scene(211, 600))
+HORIZON, PERIOD = 450, 100
 CONFIG = replace(OFFICIAL_CONFIG, protocol=replace(OFFICIAL_CONFIG.protocol, horizon_steps=HORIZON))
 
 
@@ -46,10 +46,9 @@ def compare(arrays: EpisodeBatch, tensors: EpisodeBatch, atol: float) -> None:
 
 def test_episodes_agree_with_those_of_mujoco() -> None:
     arrays, tensors = EpisodeBatch(CONFIG, COUNT, BatchBackend()), EpisodeBatch(CONFIG, COUNT, BatchBackend(WARP))
-    dataset, rows = SyntheticDataset(), np.arange(len(SCENES))
+    rows = np.arange(len(SCENES))
     indices = tensors.arrays.asarray(rows)
-    for row, scene_id in enumerate(SCENES):
-        scene = dataset.load_scene(scene_id)
+    for row, scene in enumerate(SCENES):
         arrays.reset(row, scene)
         tensors.reset(row, scene)
     compare(arrays, tensors, 1e-6)
@@ -72,6 +71,6 @@ def test_episodes_agree_with_those_of_mujoco() -> None:
     assert to_numpy(tensors.referees.release_reason[indices]).tolist() == [release, -1]
     assert to_numpy(tensors.released[indices]).tolist() == [True, False]
     assert tensors.read_contacts(0).object_height == pytest.approx(arrays.read_contacts(0).object_height, abs=1e-2)
-    tensors.reset(0, dataset.load_scene(SCENES[1]))
-    arrays.reset(0, dataset.load_scene(SCENES[1]))
+    tensors.reset(0, SCENES[1])
+    arrays.reset(0, SCENES[1])
     compare(arrays, tensors, 5e-4)
