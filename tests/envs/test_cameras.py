@@ -40,7 +40,7 @@ def make(physics: str = "mujoco", renderer: str = "rays", **options: Any) -> Han
     return handover_marl.parallel_env(physics=physics, renderer=renderer, **options)
 
 
-def observe(env: HandoverEnv, steps: int = 14) -> Observation:
+def observe(env: HandoverEnv, steps: int) -> Observation:
     observation = env.reset(seed=0, options=SCENE)[0]["receiver"]
     for _ in range(steps):
         actions = {"giver": np.zeros(8, np.float32), "receiver": observation["robot_joint_position"]}
@@ -86,8 +86,8 @@ def compute_distances_to_target(env: Any, observation: Observation, points: npt.
 @pytest.mark.slow
 @pytest.mark.parametrize(("physics", "renderer"), RENDERERS)
 def test_deprojected_depth_is_on_the_bodies(physics: str, renderer: str) -> None:
-    env = make(physics, renderer, obs_mode="state+rgbd+segmentation")
-    observation = observe(env)
+    env = make(physics, renderer, obs_mode="state+rgbd+segmentation", control_period=1.4)
+    observation = observe(env, 1)
     for name in NAMES:
         assert_on_surfaces(env, observation, name)
     env.close()

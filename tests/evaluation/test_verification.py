@@ -53,7 +53,10 @@ def folder(original: Path, tmp_path: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def runner() -> Iterator[EpisodeRunner]:
-    config, _ = resolve_config(EvaluationConfig("s0", "val", (SCENE,), "synthetic", physics="fast", receiver="hold"))
+    # The original episode ends within this time.
+    short = WorldConfig(protocol=ProtocolConfig(horizon_steps=2000))
+    named = {"dataset": "synthetic", "physics": "fast", "receiver": "hold", "world_config": short}
+    config, _ = resolve_config(EvaluationConfig("s0", "val", (SCENE,), **named))
     made = EpisodeRunner(config, parallelism="")
     yield made
     made.close()
@@ -185,17 +188,14 @@ def test_stored_actions_are_played_until_the_next_different_one() -> None:
 
 @pytest.mark.slow
 def test_what_was_compared_is_printed(folder: Path) -> None:
-    before = {file.name: file.read_bytes() for file in folder.iterdir()}
-    found = verify(folder, workers=1, progress=False)
-    assert found.is_verified, str(found)
-    assert found.scenes == (SCENE,)
-    assert {file.name: file.read_bytes() for file in folder.iterdir()} == before
     path = folder / "config.yaml"
     path.write_text(path.read_text().replace(f"version: {handover_marl.__version__}", "version: 0.7.0"))
     # A copied result, of scene 24 by its name, is found.
     (folder / "003.npz").write_bytes((folder / "000.npz").read_bytes())
+    before = {file.name: file.read_bytes() for file in folder.iterdir()}
     found = verify(folder, workers=1, progress=False)
-    assert found.changed_scenes == (24,)
+    assert {file.name: file.read_bytes() for file in folder.iterdir()} == before
+    assert (found.scenes, found.changed_scenes) == ((SCENE, 24), (24,))
     assert {each.key for each in found.differences if each.scene_id is None} == {"results"}, "no report or hash"
 
 
