@@ -28,6 +28,7 @@ from handover_marl.simulation.engines import BatchBackend, make_world_batch
 from handover_marl.simulation.reference_tracking import ReferenceMotion
 from handover_marl.simulation.world import Contacts, JudgeFunction, RolloutContacts, RolloutEnd, WorldState
 from tests.helpers.fake_device import DEVICE, DeviceTensor, FakeDevice
+from tests.helpers.short_episodes import shorten_wait
 from tests.learning.custom import move_first_joint, offset_to_object
 
 COUNT = 4
@@ -35,7 +36,7 @@ OPTIONS: dict[str, Any] = {"setup": "s0", "split": "train", "dataset": "syntheti
 #: Options of short episodes, so that all of them end and new ones start.
 SHORT: dict[str, Any] = {**OPTIONS, "max_cycles": 6, "control_period": 0.1}
 #: Options of episodes in which the receiver acts after it has waited, and in which all episodes end.
-ENCODED: dict[str, Any] = {**SHORT, "control_period": 0.5}
+ENCODED: dict[str, Any] = {**SHORT, "control_period": 0.2}
 
 
 class TensorWorlds:
@@ -175,13 +176,15 @@ def compare(request: pytest.FixtureRequest, steps: int, agent: str | None, optio
     ids=str,
 )
 def test_environments_equal_those_of_arrays(
-    request: pytest.FixtureRequest, agent: str | None, options: dict[str, Any]
+    request: pytest.FixtureRequest, agent: str | None, options: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Raw observations and actions, and features and action schemes, have the values of arrays."""
     steps, usual = 16 if agent is not None else 8, SHORT
     if "features" in options:
         # The receiver waits for four cycles; an offer lasts a whole episode. Episodes end, and new ones start.
-        steps, usual = (2, {**ENCODED, "max_cycles": 5}) if options["action_scheme"] == "offer" else (8, ENCODED)
+        shorten_wait(monkeypatch, 0.8)
+        offering = {**ENCODED, "max_cycles": 5, "control_period": 0.5}
+        steps, usual = (2, offering) if options["action_scheme"] == "offer" else (8, ENCODED)
     compare(request, steps, agent, {**usual, **options})
 
 
