@@ -53,9 +53,9 @@ LOOPS = {"from ray.rllib": "tree", "from tianshou": "tianshou", "from benchmarl"
 ENVIRONMENTS, DECISIONS = 2, 4
 #: Pages whose programs need what happens late in an episode: a decision of the giver.
 WITH_GIVERS = ("docs/tutorials/own_giver.md",)
-#: Physics steps (1 ms) of the episodes of other pages, and of the conformance tests of receivers and givers; learned
-#: receivers wait 2 s. Episodes of pages with givers are as long as the conformance tests of givers.
-EPISODE_STEPS, RECEIVER_STEPS, GIVER_STEPS = 2200, 500, 3500
+#: Physics steps (1 ms) of episodes of other pages, and of conformance tests of receivers and of givers; episodes of
+#: pages with givers are as long as the latter.
+EPISODE_STEPS, RECEIVER_STEPS, GIVER_STEPS = 500, 300, 3500
 #: Parts of programs, and what the test runs in their place, so that less is simulated and fewer processes start.
 #: Kernels of MuJoCo Warp for three environments are compiled for other tests, too.
 SMALLER = {
@@ -242,6 +242,7 @@ def test_programs_run(page: Path, small: None, monkeypatch: pytest.MonkeyPatch) 
     for module in {module for part, module in NEEDS.items() if part in text}:
         pytest.importorskip(module)
     shorten_episodes(monkeypatch, GIVER_STEPS if name(page) in WITH_GIVERS else EPISODE_STEPS)
+    monkeypatch.setattr("handover_marl.learning.schemes.GraspServoScheme.wait", 0.2)
     names: dict[str, Any] = {"__name__": f"{page.stem}_blocks"}
     if page.stem == "demonstrations":
         handover_marl.demonstrate(
