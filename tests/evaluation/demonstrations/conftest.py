@@ -9,7 +9,7 @@ from tests.evaluation.demonstrations.recording import OPTIONS, record
 
 @pytest.fixture(scope="package")
 def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the folder of a recording with point clouds and actions of the giver; do not write to it."""
+    """Return the folder of a recording of two workers with point clouds and giver actions; do not write to it."""
     folder = tmp_path_factory.mktemp("demonstrations") / "out"
-    record(folder, **OPTIONS)
+    record(folder, workers=2, **OPTIONS)
     return folder
