@@ -7,7 +7,6 @@ import pytest
 
 from handover_marl.config import OFFICIAL_CONFIG, WorldConfig
 from handover_marl.episode.episode import Episode
-from handover_marl.learning.schemes import GraspServoScheme
 
 
 def shorten_episodes(monkeypatch: pytest.MonkeyPatch, steps: int) -> None:
@@ -21,8 +20,3 @@ def shorten_episodes(monkeypatch: pytest.MonkeyPatch, steps: int) -> None:
         create(episode, physics, replace(config, protocol=protocol), *args, **options)
 
     monkeypatch.setattr(Episode, "__init__", create_short)
-
-
-def shorten_wait(monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
-    """Let the action scheme "grasp_servo" wait for this time instead of 2 s."""
-    monkeypatch.setattr(GraspServoScheme, "wait", seconds)

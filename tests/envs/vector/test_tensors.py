@@ -28,7 +28,6 @@ from handover_marl.simulation.engines import BatchBackend, make_world_batch
 from handover_marl.simulation.reference_tracking import ReferenceMotion
 from handover_marl.simulation.world import Contacts, JudgeFunction, RolloutContacts, RolloutEnd, WorldState
 from tests.helpers.fake_device import DEVICE, DeviceTensor, FakeDevice
-from tests.helpers.short_episodes import shorten_wait
 from tests.learning.custom import move_first_joint, offset_to_object
 
 COUNT = 4
@@ -182,7 +181,7 @@ def test_environments_equal_those_of_arrays(
     steps, usual = 16 if agent is not None else 8, SHORT
     if "features" in options:
         # The receiver waits for four cycles; an offer lasts a whole episode. Episodes end, and new ones start.
-        shorten_wait(monkeypatch, 0.8)
+        monkeypatch.setattr("handover_marl.learning.schemes.GraspServoScheme.wait", 0.8)
         offering = {**ENCODED, "max_cycles": 5, "control_period": 0.5}
         steps, usual = (2, offering) if options["action_scheme"] == "offer" else (8, ENCODED)
     compare(request, steps, agent, {**usual, **options})
