@@ -1,6 +1,7 @@
 """Tests of the command line, and of the command `doctor`, which collects the errors of readers."""
 
 import importlib
+import os
 import shlex
 import subprocess
 import sys
@@ -25,6 +26,8 @@ from handover_marl.policies.registry import import_reference
 from tests.datasets.dexycb.raw_files import made_up_hand, official, write
 from tests.evaluation.quick import write_results
 from tests.helpers.short_episodes import shorten_episodes
+
+PROGRAM = "import sys; from handover_marl.cli import main; sys.exit(main())"
 
 
 @pytest.mark.parametrize("arguments", [PairArguments, ReceiverArguments, SceneArguments, RenderArguments])
@@ -95,8 +98,7 @@ def test_ctrl_c(fake_data: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
 @pytest.mark.slow
 def test_closed_output(tmp_path: Path) -> None:
     """A reader may close the output of a command before its end."""
-    program = "import sys; from handover_marl.cli import main; sys.exit(main())"
-    command = [sys.executable, "-c", program, "report", str(write_results(tmp_path / "out"))]
+    command = [sys.executable, "-c", PROGRAM, "report", str(write_results(tmp_path / "out"))]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stdout is not None
     process.stdout.close()
@@ -107,12 +109,15 @@ def test_closed_output(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("closed", "workers"), [(">&-", "1"), ("2>&-", "2")])
 def test_streams_that_are_closed_at_the_start(fake_data: Path, tmp_path: Path, closed: str, workers: str) -> None:
-    program = "import sys; from handover_marl.cli import main; sys.exit(main())"
-    command = [sys.executable, "-c", program, "evaluate-pair", "--receiver", "hold", "--scenes", "9", "14"]
-    command += ["--physics", "fast", "--workers", workers, "--data-dir", str(fake_data), "--out", str(tmp_path)]
-    finished = subprocess.run(f"{shlex.join(command)} {closed}", shell=True, capture_output=True, check=False)
+    # Python runs this file when it starts, also in worker processes.
+    shorten = "import pytest, tests.helpers.short_episodes as short; short.shorten_episodes(pytest.MonkeyPatch(), 100)"
+    (tmp_path / "sitecustomize.py").write_text(shorten)
+    env = os.environ | {"PYTHONPATH": f"{tmp_path}{os.pathsep}{Path(__file__).parents[2]}"}
+    command = [sys.executable, "-c", PROGRAM, "evaluate-pair", "--receiver", "hold", "--scenes", "9", "14"]
+    command += ["--physics", "fast", "--workers", workers, "--data-dir", str(fake_data), "--out", str(tmp_path / "out")]
+    finished = subprocess.run(f"{shlex.join(command)} {closed}", shell=True, capture_output=True, check=False, env=env)
     assert finished.returncode == 0, finished.stderr
-    assert len(list(tmp_path.glob("0*.npz"))) == 2
+    assert len(list((tmp_path / "out").glob("0*.npz"))) == 2
 
 
 @pytest.mark.slow
