@@ -87,7 +87,7 @@ def test_a_used_world_equals_a_new_one(physics: str, episodes: list[Episode]) ->
     episodes += [Episode(physics), Episode(physics)]
     used, new = episodes
     grasping = "yang2021:wait=0", "replay", load_late_scene(34, 2141), None
-    hitting = "random", "noisy", DATA.load_scene(209), 1000
+    hitting = "random", "noisy", DATA.load_scene(209), 500
     released, expected = play(used, *grasping), play(new, *hitting)
     assert released[0][2] is not None
     end, rows, seen = play(used, *hitting)
@@ -102,7 +102,7 @@ def test_division_of_steps_and_images_change_nothing(physics: str, episodes: lis
     """States are those of long rollouts, whoever looks in between, until the robot touches the hand."""
     scene, camera = load_late_scene(209, 1600), CameraConfig(width=32, height=24)
     found = []
-    for size, is_watched in ((100, False), (7, False), (50, True)):
+    for size, is_watched in ((100, False), (8, True)):
         episode = Episode(physics)
         episodes.append(episode)
         episode.reset(scene)
