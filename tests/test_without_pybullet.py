@@ -27,7 +27,7 @@ NEEDS = "needs PyBullet, which is not installed (it has wheels up to Python 3.13
 # Content of sitecustomize.py, which Python runs when it starts, also in worker processes.
 BLOCKADE = 'import sys\nsys.modules["pybullet"] = sys.modules["pybullet_data"] = None\n'
 #: Steps of episodes in which agents observe and act, but which end before the handover.
-SHORT = 700
+SHORT = 400
 RESULTS = ["benchmark", "--receiver", "hold", "--dataset", "synthetic", "--physics", "mujoco"]
 RESULTS += ["--split", "val", "--scenes", "9", "--workers", "1", "--out"]
 #: Commands that need PyBullet, and what their errors recommend.
@@ -69,9 +69,11 @@ import contextlib, io, json
 import handover_marl
 from handover_marl.cli import main
 from handover_marl.errors import OptionError
+from tests.helpers.short_episodes import shorten_episodes
 from tests.test_without_pybullet import *
 
 found = {{"rollout": rollout(), "commands": [], "environments": []}}
+shorten_episodes(pytest.MonkeyPatch(), SHORT)
 assert all(main([*RESULTS, {folder!r}]) == 0 for _ in range(2))
 for arguments in (["doctor"], *(arguments for arguments, _ in REFUSED)):
     output = io.StringIO()
@@ -131,10 +133,15 @@ def test_the_panda_that_ships_is_pybullets() -> None:
 POLICIES = f"""
 import sys
 import handover_marl
+import pytest
 from handover_marl.config import ProtocolConfig, WorldConfig
+from handover_marl.geometry import distance_field
 from handover_marl.simulation.engines import list_available_physics
 from handover_marl.testing import check_giver, check_receiver
+from tests.receivers.quick import shorten_planning
 
+shorten_planning(pytest.MonkeyPatch())
+distance_field._CELL = 0.03
 assert list_available_physics() == ("mujoco",)
 scene = dict(dataset="synthetic", split="test", physics="mujoco", scenes=[{SCENE}], workers=1)
 short = WorldConfig(protocol=ProtocolConfig(horizon_steps={SHORT}))
@@ -143,8 +150,8 @@ for giver, receiver in {{pairs}}:
     report = handover_marl.evaluate_pair(giver, receiver, world_config=short, robot=robot, **scene)
     assert "mujoco physics without PyBullet" in str(report)
     print(receiver, report.episodes[0].status.label)
-check_receiver("random", scenes=(9,), steps=300)
-check_giver("noisy", scenes=(9,), steps=300)
+check_receiver("random", scenes=(9,), steps=200)
+check_giver("noisy", scenes=(9,), steps=200)
 assert "handover_marl.simulation.bullet.client" not in sys.modules
 """
 
@@ -153,8 +160,8 @@ assert "handover_marl.simulation.bullet.client" not in sys.modules
 def test_policies_play_and_can_be_checked(tmp_path: Path) -> None:
     pairs = [("cooperative", "yang2021:wait=0.2"), ("noisy", "hold"), ("tired", "random")]
     if importlib.util.find_spec("igl") is not None:
-        # The number of copies limits the time of the validation of grasps.
-        pairs += [("replay", "omg_hand_aware:wait=0.2"), ("replay", "reactive:preparation_max_copies=1")]
+        quick = "reactive:preparation_max_copies=1,preparation_held_time=0.15,preparation_free_time=0.002"
+        pairs += [("replay", "omg_hand_aware:wait=0.2"), ("replay", quick)]
     if importlib.util.find_spec("torch") is not None and importlib.util.find_spec("embreex") is not None:
         pairs.append(("replay", "gaddpg:wait=0"))
     lines = run_without_pybullet(tmp_path, POLICIES.format(pairs=pairs))

@@ -20,11 +20,16 @@ QUICK_PREPARATION = GraspPreparationConfig(
 )
 
 
+def shorten_planning(patch: pytest.MonkeyPatch) -> None:
+    """Plan with few goals and few steps of optimization."""
+    patch.setattr(goal_set, "_IK_SEEDS", goal_set._IK_SEEDS[:3])
+    patch.setattr(planner, "_N_SELECTION_STEPS", 4)
+    patch.setattr(planner, "_N_FIXED_GOAL_STEPS", 2)
+
+
 @pytest.fixture(scope="module", autouse=True)
 def short_planning() -> Iterator[None]:
-    """Plan with few goals and few steps of optimization in the tests of a module that imports this."""
+    """Shorten planning in the tests of a module that imports this."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(goal_set, "_IK_SEEDS", goal_set._IK_SEEDS[:3])
-        patch.setattr(planner, "_N_SELECTION_STEPS", 4)
-        patch.setattr(planner, "_N_FIXED_GOAL_STEPS", 2)
+        shorten_planning(patch)
         yield
