@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+import handover_marl
 from handover_marl.evaluation.benchmark import evaluate_pair
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.receivers.reactive.config import ReactiveConfig
@@ -37,6 +38,13 @@ def import_file(path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     monkeypatch.setitem(sys.modules, path.stem, module)
     spec.loader.exec_module(module)
     return module
+
+
+def simulate_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let trainings simulate environments in this process; receivers of the scheme grasp_servo wait for 0.4 s."""
+    make, here = handover_marl.vector_env, {"processes": None, "threads": 1}
+    monkeypatch.setattr(handover_marl, "vector_env", lambda *args, **options: make(*args, **options | here))
+    monkeypatch.setattr("handover_marl.learning.schemes.GraspServoScheme.wait", 0.4)
 
 
 def files(folder: Path) -> set[str]:

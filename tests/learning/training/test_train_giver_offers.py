@@ -8,7 +8,7 @@ import pytest
 
 from handover_marl import EpisodeStatus, givers
 from tests.helpers.short_episodes import shorten_episodes
-from tests.learning.training.scripts import script
+from tests.learning.training.scripts import script, simulate_here
 
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
 
@@ -40,6 +40,7 @@ def test_a_run_continues_and_writes_a_policy(
     train: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shorten_episodes(monkeypatch, 2800)
+    simulate_here(monkeypatch)
     small = {"dataset": "synthetic", "receivers": ("hold",), "num_envs": 2, "round_episodes": 2, "workers": 1}
     options = {**small, "updates": 2, "candidates": (2,), "val_scenes": 0, "out": tmp_path / "run"}
     train.main(train.Args(**options, episodes=2))

@@ -9,19 +9,21 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from handover_marl import evaluate_pair
+import handover_marl
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import OptionError
 from handover_marl.learning.policy_files import DenseNetwork, InputNormalization, PolicySpec, read_policy, write_policy
 from tests.helpers.short_episodes import shorten_episodes
-from tests.learning.training.scripts import REWARDS, script
+from tests.learning.training.scripts import REWARDS, script, simulate_here
 
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
+VECTOR_ENV = handover_marl.vector_env
 SCENES = SyntheticDataset().list_scenes("s0", "val")[:1]
 
 
 @pytest.fixture
 def train(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    simulate_here(monkeypatch)
     return script("train_ppo", monkeypatch)
 
 
@@ -29,19 +31,19 @@ def train(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 def test_training_and_evaluation(
     train: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    shorten_episodes(monkeypatch, 3000)
+    shorten_episodes(monkeypatch, 1000)
     out = tmp_path / "new" / "ppo.npz"
-    small = {"num_envs": 4, "batch_size": 16, "epochs": 2, "minibatch_size": 8, "val_physics": "mujoco"}
-    args = train.Args(dataset="synthetic", out=out, decisions=20, val_scenes=1, workers=1, **small)
+    small = {"num_envs": 2, "batch_size": 4, "epochs": 2, "minibatch_size": 2, "val_physics": "mujoco"}
+    args = train.Args(dataset="synthetic", out=out, decisions=5, val_scenes=1, workers=1, **small)
     assert train.main(args) == out
     printed = capsys.readouterr().out
-    assert re.findall(r"^(\d+) decisions,", printed, re.MULTILINE) == ["16", "32"]
+    assert re.findall(r"^(\d+) decisions,", printed, re.MULTILINE) == ["4", "8"]
     (result,) = re.findall(r"s0 val with the partner cooperative: success (.*?) %, .*1 scenes of synthetic", printed)
     # A policy that has learned little may succeed by chance.
     assert result in ("0.0 (0.0 to 79.3)", "100.0 (20.7 to 100.0)")
     monkeypatch.setitem(sys.modules, "torch", None)
     where = {"split": "val", "dataset": "synthetic", "physics": "fast", "workers": 1}
-    report = evaluate_pair("replay", f"learned:{out}", scenes=SCENES, **where)
+    report = handover_marl.evaluate_pair("replay", f"learned:{out}", scenes=SCENES, **where)
     assert len(report.episodes) == 1
 
 
@@ -70,13 +72,14 @@ def test_own_features_and_action_schemes_are_trained_and_evaluated(
 
 
 @pytest.mark.slow
-def test_a_training_repeats_from_its_seed(train: ModuleType, tmp_path: Path) -> None:
-    small = {"dataset": "synthetic", "num_envs": 2, "batch_size": 8, "epochs": 1, "decisions": 16, "val_scenes": 0}
-    # Two workers collect in any order.
-    found = [
-        read_numbers(train.main(train.Args(out=tmp_path / f"{number}.npz", seed=seed, workers=2, **small)))
-        for number, seed in enumerate((1, 1))
-    ]
+def test_a_training_repeats_from_its_seed(train: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two workers, which collect in any order, give the same policy in this process and in others."""
+    small = {"dataset": "synthetic", "num_envs": 2, "batch_size": 4, "epochs": 1, "decisions": 4, "val_scenes": 0}
+    monkeypatch.setattr("handover_marl.learning.schemes.GraspServoScheme.wait", 2.0)
+    found = []
+    for name, make in (("here", handover_marl.vector_env), ("apart", VECTOR_ENV)):
+        monkeypatch.setattr(handover_marl, "vector_env", make)
+        found.append(read_numbers(train.main(train.Args(out=tmp_path / f"{name}.npz", seed=1, workers=2, **small))))
     np.testing.assert_array_equal(found[0], found[1])
 
 

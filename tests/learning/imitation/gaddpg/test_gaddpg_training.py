@@ -19,6 +19,7 @@ from handover_marl.learning.training.run_folder import CHECKPOINT, read_checkpoi
 from handover_marl.receivers import make
 from tests.helpers.short_episodes import shorten_episodes
 from tests.learning.training.scripts import evaluate_hold, script
+from tests.receivers.quick import short_planning  # noqa: F401
 
 pytestmark = pytest.mark.slow
 
