@@ -19,7 +19,7 @@ from handover_marl.datasets import DATA_DIR_VARIABLE, OfficialDataset
 from tests.helpers.fake_layout import write_layout
 
 # The time of an example depends on what else the machine does.
-settings.register_profile("tests", deadline=None)
+settings.register_profile("tests", deadline=None, max_examples=50)
 settings.load_profile("tests")
 
 #: Folder with recordings of the reference simulator (`scene*.npz`, `yang_s0_val.json`).
