@@ -58,13 +58,13 @@ class Short(Obedient):
 @pytest.mark.slow
 @pytest.mark.parametrize("receiver", [Obedient, "random", "yang2021:wait=0"])
 def test_conforming_receivers(receiver: str | type[Receiver]) -> None:
-    check_receiver(receiver, scenes=ONE, steps=500)
+    check_receiver(receiver, scenes=ONE, steps=300)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in givers.list_available() if name not in ("learned", "population")])
 def test_our_givers_conform(name: str) -> None:
-    check_giver(name, scenes=ONE, steps=600)
+    check_giver(name, scenes=ONE, steps=400)
 
 
 @pytest.mark.parametrize(

@@ -63,7 +63,7 @@ def test_repairs_are_stated(kind: str) -> None:
 
 @pytest.mark.slow
 def test_many_triangles_are_simplified() -> None:
-    sphere = trimesh.creation.icosphere(subdivisions=6, radius=0.04)
+    sphere = trimesh.creation.icosphere(subdivisions=5, radius=0.04)
     item = make_object_mesh(sphere, MeshConfig(**ROUGH))
     assert item.repairs == (f"simplified from {len(sphere.faces)} to {len(item.mesh.faces)} triangles",)
     assert len(item.mesh.faces) <= 20_000
