@@ -113,8 +113,10 @@ WAITING = {**OPTIONS, "control_period": 0.2, "max_cycles": 25}
     ids=["same", "giver", "waiting", "own", "camera", "exact"],
 )
 def test_equal_to_single_environments_to_the_bit(
-    agent: str, partner: str, encodings: tuple[Any, ...], autoreset: str, steps: int, options: dict[str, Any]
+    agent: str, partner: str, encodings: Any, autoreset: str, steps: int, options: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("handover_marl.learning.schemes.GraspServoScheme.wait", 0.8)
+
     def make() -> Any:
         live = control_agent(handover_marl.parallel_env(**options), agent, partner)
         return handover_marl.encode(live, *encodings, api="gymnasium") if encodings else SingleAgentEnv(live)
@@ -122,7 +124,8 @@ def test_equal_to_single_environments_to_the_bit(
     mode = gymnasium.vector.AutoresetMode[autoreset.upper()]
     expected = rollout(gymnasium.vector.SyncVectorEnv([make] * COUNT, autoreset_mode=mode), steps)
     chosen = dict(zip(("features", "action_scheme"), encodings, strict=False))
-    together = handover_marl.vector_env(COUNT, agent, partner, autoreset=autoreset, threads=2, **chosen, **options)
+    chosen["processes" if agent == "giver" else "threads"] = 2
+    together = handover_marl.vector_env(COUNT, agent, partner, autoreset=autoreset, **chosen, **options)
     assert_equal(rollout(together, steps), expected)
     if steps == MORE_THAN_AN_EPISODE:
         assert any(step.any() for step in expected[4::5] + expected[5::5]), "episodes have ended"
@@ -153,56 +156,53 @@ def test_the_interface_is_gymnasiums(autoreset: str) -> None:
 
 @pytest.mark.slow
 def test_whole_handovers_to_yang_are_equal_to_the_bit() -> None:
-    """Steps of the giver that last a whole episode equal those of single environments, also after masked resets."""
-    options = {**OPTIONS, "control_period": 0.2, "max_cycles": 40, "rewards": "shaped"}
+    """Steps of the giver that last a whole episode equal those of single environments."""
+    options = {**OPTIONS, "control_period": 0.2, "max_cycles": 28, "rewards": "shaped"}
     encodings = {"features": "giver", "action_scheme": "offer"}
     together = handover_marl.vector_env(2, "giver", "yang2021:wait=0.5", threads=1, **encodings, **options)
     live = [control_agent(handover_marl.parallel_env(**options), "giver", "yang2021:wait=0.5") for _ in range(2)]
     alone = gymnasium.vector.SyncVectorEnv(
         [lambda env=env: handover_marl.encode(env, "giver", "offer", api="gymnasium") for env in live]
     )
-    rng, mask = np.random.default_rng(0), np.array([False, True])
-    rewards: list[float] = []
-    for arguments in ({"seed": 5}, {"options": {"reset_mask": mask}}):
-        found, expected = (envs.reset(**copy.deepcopy(arguments)) for envs in (together, alone))
-        assert_equal(list(found), list(expected))
-        outputs = rng.uniform(-0.3, 0.3, (2, 7)).astype(np.float32)
-        steps = [envs.step(outputs) for envs in (together, alone)]
-        assert_equal(list(steps[0]), list(steps[1]))
-        rewards += steps[0][1].tolist()
+    found, expected = (envs.reset(seed=5) for envs in (together, alone))
+    assert_equal(list(found), list(expected))
+    outputs = np.random.default_rng(0).uniform(-0.3, 0.3, (2, 7)).astype(np.float32)
+    steps = [envs.step(outputs) for envs in (together, alone)]
+    assert_equal(list(steps[0]), list(steps[1]))
     together.close()
-    assert max(rewards) > 0.8, "an object was handed over"
+    assert steps[0][1].max() > 0.8, "an object was handed over"
 
 
 @pytest.mark.slow
-def test_the_next_episode_is_the_one_that_a_single_environment_draws() -> None:
+def test_the_next_episode_is_the_one_that_a_single_environment_draws(monkeypatch: pytest.MonkeyPatch) -> None:
     """Resets with a seed, a scene, a mask or no argument start the same episodes as in single environments.
 
     This also holds if the next episodes are simulated in advance.
     """
-    options = {**OPTIONS, "control_period": 0.5, "max_cycles": 6, "rewards": "shaped"}
+    options = {**OPTIONS, "control_period": 0.2, "max_cycles": 6, "rewards": "shaped"}
     options["world_config"] = WorldConfig(initial_joint_noise=0.1)
+    monkeypatch.setattr("handover_marl.learning.schemes.GraspServoScheme.wait", 0.8)
     together = handover_marl.vector_env(
-        3, "receiver", "hesitant", features="close", action_scheme="grasp_servo", threads=1, **options
+        2, "receiver", "hesitant", features="close", action_scheme="grasp_servo", threads=1, **options
     )
-    live = [control_agent(handover_marl.parallel_env(**options), "receiver", "hesitant") for _ in range(3)]
+    live = [control_agent(handover_marl.parallel_env(**options), "receiver", "hesitant") for _ in range(2)]
     alone = gymnasium.vector.SyncVectorEnv(
         [lambda env=env: handover_marl.encode(env, "close", "grasp_servo", api="gymnasium") for env in live]
     )
-    rng, mask = np.random.default_rng(0), np.array([True, False, True])
+    rng, mask = np.random.default_rng(0), np.array([True, False])
     scene = together.scene_ids[4]
     resets: list[dict[str, Any]] = [
         {"seed": 5},
         {},
         {"options": {"scene_id": scene}},
         {"options": {"reset_mask": mask}},
-        {"seed": [1, None, 2], "options": {"reset_mask": mask}},
+        {"seed": [1, None], "options": {"reset_mask": mask}},
     ]
     for arguments in resets:
         found, expected = (envs.reset(**copy.deepcopy(arguments)) for envs in (together, alone))
         assert_equal(list(found), list(expected))
-        for _ in range(4):
-            actions = rng.uniform(-1.0, 1.0, (3, 7)).astype(np.float32)
+        for _ in range(3):
+            actions = rng.uniform(-1.0, 1.0, (2, 7)).astype(np.float32)
             assert_equal(list(together.step(actions)), list(alone.step(actions)))
     together.close()
 
@@ -286,15 +286,6 @@ def test_both_agents_in_a_batch(both: Callable[..., Any], autoreset: str) -> Non
             else:
                 assert infos["giver"]["steps"][number] == info["giver"]["steps"]
     assert ends == COUNT
-
-
-@pytest.mark.slow
-def test_processes_give_the_results_of_threads() -> None:
-    options = {**SHORT, "max_cycles": 3, "features": "close", "action_scheme": "cartesian_delta"}
-    options |= {"autoreset": "same_step"}
-    expected = rollout(handover_marl.vector_env(3, "receiver", "noisy", threads=1, **options), 5)
-    assert_equal(rollout(handover_marl.vector_env(3, "receiver", "noisy", processes=2, **options), 5), expected)
-    assert any("final_obs" in infos for infos in expected[6::5])
 
 
 @pytest.mark.slow
