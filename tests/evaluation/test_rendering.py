@@ -60,11 +60,11 @@ def test_rendering_does_not_change_the_episode() -> None:
     dataset = SyntheticDataset()
     players = receivers.make("random", dataset), givers.make("noisy", dataset)
     ends = []
-    for times in (range(0), range(0, 1500, 80)):
+    for times in (range(0), range(0, 700, 80)):
         episode, joints = Episode("exact"), StepRecorder(lambda now: now.world.read_joint_snapshot().robot)
         episode.reset(dataset.load_scene(209))
         recorder = drawing.FrameRecorder(times, lambda now: now.render(CAMERA))
-        run_episode(episode, *players, seed=0, until=1500, callbacks=[joints, recorder])
+        run_episode(episode, *players, seed=0, until=700, callbacks=[joints, recorder])
         ends.append((episode.status, episode.steps, np.array(joints.rows)))
         episode.close()
     (*end, rows), (*other, same) = ends

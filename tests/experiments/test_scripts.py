@@ -20,7 +20,7 @@ def test_best_of_k_is_the_mean_over_all_choices_of_the_draws(k: int) -> None:
 
 @pytest.mark.slow
 def test_own_receiver(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    shorten_episodes(monkeypatch, 2500)
+    shorten_episodes(monkeypatch, 1000)
     example, scenes = script("own_receiver", monkeypatch), SyntheticDataset().list_scenes("s0", "val")[:1]
     found = example.main(example.Args(dataset="synthetic", scenes=scenes, workers=1))
     assert [episode.scene_id for episode in found.episodes] == list(scenes)

@@ -18,12 +18,6 @@ sb3 = pytest.importorskip("stable_baselines3", reason="needs the extra `train`")
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning", "ignore::DeprecationWarning")
 
 
-@pytest.fixture(autouse=True)
-def _short_evaluations(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let episodes be no longer than those of the trainings; a giver acts after 2 s."""
-    shorten_episodes(monkeypatch, 2800)
-
-
 def test_runs_are_not_resumed_on_another_dataset(
     tmp_path: Path, fake_data: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -42,6 +36,7 @@ def test_train_vision(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     train = script("train_vision", monkeypatch)
     monkeypatch.setattr(train, "ViewRenderer", functools.partial(ViewRenderer, reactive=QUICK_REACTIVE))
     evaluated = evaluate_hold(monkeypatch)
+    shorten_episodes(monkeypatch, 500)
     few = {"dataset": "synthetic", "updates": 2, "views": 2, "batch_size": 8, "stride": 400, "workers": 1}
     few["extra_datasets"] = ("generated:n=30,seed=7,procedural=0",)
     out = tmp_path / "run"
