@@ -77,18 +77,17 @@ def test_images_equal_those_of_the_processor(request: pytest.FixtureRequest, dat
     scenes, config, rng = load_scenes(request, data), CONFIGS[data], np.random.default_rng(0)
     camera, singles = make_cameras(scenes, config)
     rows, counts = TENSORS.arange(len(scenes)), np.zeros(len(SegmentationLabel), dtype=int)
-    for number in range(2):
-        now = [draw_snapshot(scene, config, rng, has_hand=(number + row) % 3 > 0) for row, scene in enumerate(scenes)]
-        batch = stack_states(now, TENSORS)
-        images = camera.render(rows, batch, color=True)
-        labels = [SegmentationLabel.TARGET, SegmentationLabel.HAND, SegmentationLabel.OTHER_OBJECT]
-        targets, objects = (camera.render(rows, batch, False, labels=labels[:count]) for count in (2, 3))
-        for row, (single, own) in enumerate(zip(singles, now, strict=True)):
-            counts += compare(images, row, single.render(own, True))
-            compare(targets, row, single.render_targets(own))
-            compare(objects, row, single.render_targets(own, with_others=True))
-            assert own.hand is not None or not (images.segmentation[row] == HAND).any()
-    assert counts.min() > 500
+    now = [draw_snapshot(scene, config, rng, has_hand=row > 0) for row, scene in enumerate(scenes)]
+    batch = stack_states(now, TENSORS)
+    images = camera.render(rows, batch, color=True)
+    labels = [SegmentationLabel.TARGET, SegmentationLabel.HAND, SegmentationLabel.OTHER_OBJECT]
+    targets, objects = (camera.render(rows, batch, False, labels=labels[:count]) for count in (2, 3))
+    for row, (single, own) in enumerate(zip(singles, now, strict=True)):
+        counts += compare(images, row, single.render(own, True))
+        compare(targets, row, single.render_targets(own))
+        compare(objects, row, single.render_targets(own, with_others=True))
+        assert own.hand is not None or not (images.segmentation[row] == HAND).any()
+    assert counts.min() > 400
     # Images do not depend on the other worlds.
     some = camera.render(TENSORS.asarray([2, 0]), stack_states([now[2], now[0]], TENSORS), color=True)
     for found, expected in zip(some, images, strict=True):
