@@ -96,8 +96,7 @@ def test_decisions_actions_and_outcome_are_the_recorded_ones(name: str, recordin
     dataset = OfficialDataset(real_data, robot="panda_camera")
     with np.load(recordings / f"gaddpg/{name}.npz") as archive:
         expected = dict(archive)
-    ends = {WHOLE: int(expected["steps"]), ALL_DECISIONS: 3200}
-    end = ends.get(name, MAX_STEPS[float(expected["wait"])])
+    end = {WHOLE: int(expected["steps"]), ALL_DECISIONS: 3200}.get(name, MAX_STEPS[float(expected["wait"])])
     network, joints, log = StandIn(expected), Joints(), ActionRecorder()
     receiver = Watched(make_policy_context(dataset), network=network, wait=float(expected["wait"]))
     receiver.joints = JOINTS_ELSEWHERE if name == ELSEWHERE else None
