@@ -36,6 +36,7 @@ def test_interrupted_run_is_resumed(
     shorten_episodes(monkeypatch, 500)
     evaluated = evaluate_hold(monkeypatch)
     monkeypatch.setattr(train, "list_shared_scenes", lambda data, setups: SCENES)
+    monkeypatch.setattr("handover_marl.learning.imitation.gaddpg.training._N_HELD_OUT", 4)
     update = ImitationLearner.update
 
     def update_once(learner: ImitationLearner, batch: Any) -> dict[str, float]:
