@@ -53,8 +53,7 @@ def folder(original: Path, tmp_path: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def runner() -> Iterator[EpisodeRunner]:
-    # The original episode ends within this time.
-    short = WorldConfig(protocol=ProtocolConfig(horizon_steps=2000))
+    short = WorldConfig(protocol=ProtocolConfig(horizon_steps=2000))  # the original episode is shorter
     named = {"dataset": "synthetic", "physics": "fast", "receiver": "hold", "world_config": short}
     config, _ = resolve_config(EvaluationConfig("s0", "val", (SCENE,), **named))
     made = EpisodeRunner(config, parallelism="")
