@@ -88,11 +88,10 @@ def test_adding_twice_changes_nothing(pages: Path, tmp_path: Path, monkeypatch: 
     monkeypatch.setattr(make_results, "draw_figure", lambda evaluations, path: None)
     before = len(make_results.read_evaluations())
     folder = make_folder(tmp_path / "a", "omg:wait=1.5", itertools.cycle([1, 2]), "1.5")
-    texts = []
-    for _ in range(2):
-        make_results.main(make_results.Args((folder,), out=pages))
-        texts.append({path.name: path.read_bytes() for path in pages.rglob("*.*") if path.is_file()})
-    assert texts[0] == texts[1]
+    make_results.main(make_results.Args((folder,), "a test", pages))
+    stored = {path: path.read_bytes() for path in (pages / "data").rglob("*.*") if path.is_file()}
+    make_results.add_evaluation(folder, "a test")
+    assert {path: path.read_bytes() for path in (pages / "data").rglob("*.*") if path.is_file()} == stored
     assert len(make_results.read_evaluations()) == before + 1
 
 

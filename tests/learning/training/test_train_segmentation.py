@@ -15,7 +15,7 @@ pytest.importorskip("embreex", reason="needs the extra `vision`")
 @pytest.mark.slow
 def test_a_training_writes_weights_and_resumes_with_its_images(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     train = script("train_segmentation", monkeypatch)
-    args = train.Args(dataset="synthetic", out=tmp_path, views=1, stride=60, updates=2, batch_size=2, workers=1)
+    args = train.Args(dataset="synthetic", out=tmp_path, views=1, stride=180, updates=1, batch_size=2, workers=1)
     args = replace(args, point_updates=2, point_batch_size=2)
     path = train.main(args)
     written, images = path.read_bytes(), sorted(tmp_path.glob("views/*.npz"))
