@@ -182,7 +182,7 @@ def test_receivers_do_not_know_motion_that_is_still_to_come(reference: str) -> N
     receiver, scene = Recorder(make_receiver(reference, dataset)), start_late(dataset.load_scene(SCENE))
     episode = Episode("fast", sensors=SensorConfig("rays"))
     rng = np.random.default_rng(0)
-    end = 600 if reference.startswith("omg") else 1000
+    end = 600
     episode.reset(scene)
     run_episode(episode, receiver, until=end)
     events = receiver.events
