@@ -27,7 +27,7 @@ _NAMES = {
     "config": ("CAMERAS", "CameraConfig", "WorldConfig", "make_camera"),
     "envs.config": ("EnvConfig",),
     "envs.constructors": ("env", "parallel_env"),
-    "envs.custom_rewards": ("combine_rewards", "declare_terms"),
+    "envs.custom_rewards": ("combine_rewards",),
     "envs.handover_env": ("HandoverEnv",),
     "envs.rewards": ("RewardWeights",),
     "envs.transition": ("Transition",),

@@ -8,7 +8,6 @@ from handover_marl.envs.config import EnvConfig as EnvConfig
 from handover_marl.envs.constructors import env as env
 from handover_marl.envs.constructors import parallel_env as parallel_env
 from handover_marl.envs.custom_rewards import combine_rewards as combine_rewards
-from handover_marl.envs.custom_rewards import declare_terms as declare_terms
 from handover_marl.envs.handover_env import HandoverEnv as HandoverEnv
 from handover_marl.envs.rewards import RewardWeights as RewardWeights
 from handover_marl.envs.transition import Transition as Transition

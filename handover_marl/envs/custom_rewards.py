@@ -4,7 +4,7 @@ import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -23,27 +23,8 @@ from handover_marl.errors import HandoverError, OptionError, RewardError, check_
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyIndices, ArrayFactory
 from handover_marl.policies.registry import import_reference
 
-_Function = TypeVar("_Function", bound=Callable[..., Any])
 #: Function that returns the reward terms of a `Transition`, by agent and name.
 CustomReward: TypeAlias = Callable[[Transition], Mapping[str, Mapping[str, float]]]
-
-
-def declare_terms(giver: tuple[str, ...] = (), receiver: tuple[str, ...] = ()) -> Callable[[_Function], _Function]:
-    """Return a decorator that declares the names of the terms that a user-defined reward returns.
-
-    Without the decorator, the library calls the reward once with a transition in which nothing moves, to learn the
-    names. Terms that a later call does not return are 0.
-
-    Args:
-        giver: Names of the giver's terms.
-        receiver: Names of the receiver's terms.
-    """
-
-    def decorate(function: _Function) -> _Function:
-        function.terms = {"giver": giver, "receiver": receiver}  # type: ignore[attr-defined]
-        return function
-
-    return decorate
 
 
 @dataclass(frozen=True)
@@ -182,9 +163,8 @@ class CustomRewardSource:
             if callable(reset):
                 self._run(reset, transition)
             if not self._names:
-                declared = getattr(function, "terms", None)
                 # A copy, so that this call leaves nothing in the function's memory.
-                terms = self._run(copy.deepcopy(function), transition) if declared is None else declared
+                terms = self._run(copy.deepcopy(function), transition)
                 self._check_agents(terms)
                 self._names = {agent: list(terms.get(agent, ())) for agent in AGENTS}
         return self._names
@@ -201,7 +181,7 @@ class CustomRewardSource:
                     if name not in values[agent]:
                         raise RewardError(
                             f"{label} must be one of {', '.join(values[agent]) or 'none'}, the terms of the first "
-                            "call; return it in every step, or declare it with @declare_terms"
+                            "call; return it in every step"
                         )
                     if np.ndim(value) or not isinstance(value, (int, float, np.number, np.bool_, np.ndarray)):
                         raise RewardError(f"{label} must be a single number, got {value!r}; convert it with float()")
@@ -221,7 +201,7 @@ class CustomRewardSource:
             raise RewardError(f"reward {self._name!r} failed ({type(error).__name__}: {error})") from error
 
     def _check_agents(self, terms: Any) -> None:
-        """Check that a user-defined reward returned terms by agent and name, or declared names of terms by agent."""
+        """Check that a user-defined reward returned terms by agent and name."""
         is_by_agent = isinstance(terms, Mapping) and not terms.keys() - set(AGENTS)
         if not is_by_agent or any(isinstance(own, str) or not hasattr(own, "__iter__") for own in terms.values()):
             raise RewardError(

@@ -18,9 +18,9 @@ pytestmark = pytest.mark.slow
 
 STRIDE = 10
 #: Steps after which recordings of one object are cut: after the first motion of the hand or, in some, after the first
-#: decisions of the receiver. A successful handover is played to its end; what happens later is in it, too.
-MAX_STEPS, WITH_DECISIONS = 1500, {"scene009_yang": 3300, "scene012_yang": 3300, "scene105_demo": 3300}
-WHOLE = "scene344_yang"
+#: decisions of the receiver. The successful handovers are played to their ends; what happens later is in them, too.
+MAX_STEPS, WITH_DECISIONS = 1500, {"scene009_yang": 3300, "scene105_demo": 3300}
+WHOLE = ("scene012_yang", "scene099_yang", "scene344_yang")
 NAMES = sorted(path.stem for path in Path(RECORDINGS).glob("scene*.npz")) if RECORDINGS else ["none"]
 if RECORDINGS and not NAMES:
     raise FileNotFoundError(f"no recordings (scene*.npz) in {RECORDINGS}")
@@ -34,7 +34,7 @@ def read_recording(recordings: Path, name: str) -> dict[str, np.ndarray]:
     """Read a recording, and cut its actions."""
     with np.load(recordings / f"{name}.npz") as archive:
         content = dict(archive)
-    if name in NAMES and name != WHOLE:
+    if name in NAMES and name not in WHOLE:
         content["action"] = content["action"][: WITH_DECISIONS.get(name, MAX_STEPS)]
     return content
 

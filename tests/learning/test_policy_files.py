@@ -54,16 +54,9 @@ def _no_code_ran(monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.delenv(RAN, raising=False)
 
 
-def network(n_inputs: int, n_outputs: int, **options: str) -> DenseNetwork:
-    rng = np.random.default_rng(0)
-    sizes = [n_inputs, 8, n_outputs]
-    weights = tuple(rng.normal(0, 0.1, (b, a)).astype(np.float32) for a, b in itertools.pairwise(sizes))
-    return DenseNetwork(weights, tuple(np.zeros(len(w), np.float32) for w in weights), **options)
-
-
 def test_written_policy_is_read_back(tmp_path: Path) -> None:
     spec = PolicySpec("receiver", "grasp", "cartesian_delta", 0.2, "a test")
-    wanted = network(count_features("receiver", "grasp"), 7, activation="relu", output="tanh")
+    wanted = replace(draw_network(count_features("receiver", "grasp"), 7, 0, "relu"), output="tanh")
     write_policy(tmp_path / "policy.npz", spec, wanted)
     found, function, label = read_policy(tmp_path / "policy.npz", "receiver")
     assert found == spec
@@ -85,7 +78,7 @@ def test_written_policy_is_read_back(tmp_path: Path) -> None:
 )
 def test_policies_that_do_not_fit_are_refused(tmp_path: Path, change: dict[str, Any], message: str) -> None:
     spec = PolicySpec(**({"agent": "giver", "features": "giver", "actions": "offer"} | change))
-    write_policy(tmp_path / "policy.npz", spec, network(39, 7))
+    write_policy(tmp_path / "policy.npz", spec, draw_network(39, 7, 0))
     with pytest.raises(HandoverError, match=message):
         givers.make(f"learned:{tmp_path / 'policy.npz'}")
 

@@ -242,19 +242,12 @@ def test_forms_of_own_schemes(choice: Any) -> None:
 
 
 def test_memory_of_own_scheme_functions_is_cleared() -> None:
-    class Mine:
-        size, resets = 1, []  # type: ignore[var-annotated]
-
-        def reset(self) -> None:
-            self.resets.append(1)
-
-        def __call__(self, outputs: Any, observation: Any) -> Any:
-            return START
-
-    scheme = make_scheme("receiver", Mine(), CONTEXT)
-    Mine.resets.clear()
+    resets: list[int] = []
+    parts = {"size": 1, "reset": lambda self: resets.append(1), "__call__": lambda self, outputs, observation: START}
+    scheme = make_scheme("receiver", type("Mine", (), parts)(), CONTEXT)
+    resets.clear()
     scheme.reset()
-    assert Mine.resets == [1]
+    assert resets == [1]
 
 
 @pytest.mark.parametrize(
