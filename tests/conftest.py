@@ -1,3 +1,4 @@
+import contextlib
 import os
 
 # Tests run side by side, one per core; those of several worker processes name a number of workers. NumPy and
@@ -6,6 +7,12 @@ for variable in ("LOKY_MAX_CPU_COUNT", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"
     os.environ.setdefault(variable, "1")
 # Ray gives its workers a low priority by default, so that they would wait for the other tests.
 os.environ.setdefault("RAY_worker_niceness", "0")
+
+with contextlib.suppress(ImportError):
+    import warp
+
+    # Kernels are compiled in half the time.
+    warp.config.optimization_level = 0
 
 # ruff: noqa: E402
 from collections import Counter

@@ -1,7 +1,6 @@
 """Tests of the training of a giver that chooses its offer."""
 
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -13,14 +12,10 @@ from tests.learning.training.scripts import script, simulate_here
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
 
 
-@pytest.fixture(name="train")
-def _train(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    return script("train_giver_offers", monkeypatch)
-
-
 @pytest.mark.slow
-def test_the_network_learns_which_offers_succeed_and_how_fast(train: ModuleType) -> None:
+def test_the_network_learns_which_offers_succeed_and_how_fast(monkeypatch: pytest.MonkeyPatch) -> None:
     """Offers succeed where the first two features have the same sign, and faster with a large third one."""
+    train = script("train_giver_offers", monkeypatch)
     rng = np.random.default_rng(0)
     features = rng.standard_normal((4000, 3)).astype(np.float32)
     success = features[:, 0] * features[:, 1] > 0
@@ -36,9 +31,8 @@ def test_the_network_learns_which_offers_succeed_and_how_fast(train: ModuleType)
 
 
 @pytest.mark.slow
-def test_a_run_continues_and_writes_a_policy(
-    train: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_continues_and_writes_a_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    train = script("train_giver_offers", monkeypatch)
     shorten_episodes(monkeypatch, 2800)
     simulate_here(monkeypatch)
     small = {"dataset": "synthetic", "receivers": ("hold",), "num_envs": 2, "round_episodes": 2, "workers": 1}

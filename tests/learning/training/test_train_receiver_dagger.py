@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -18,13 +17,9 @@ from tests.learning.training.scripts import script
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
 
 
-@pytest.fixture(name="train")
-def _train(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    return script("train_receiver_dagger", monkeypatch)
-
-
 @pytest.mark.slow
-def test_the_network_learns_the_experts_outputs(train: ModuleType) -> None:
+def test_the_network_learns_the_experts_outputs(monkeypatch: pytest.MonkeyPatch) -> None:
+    train = script("train_receiver_dagger", monkeypatch)
     rng = np.random.default_rng(0)
     features = (3.0 + 2.0 * rng.standard_normal((2000, 4))).astype(np.float32)
     outputs = np.tanh(features[:, :2] - features[:, 2:])
@@ -33,9 +28,8 @@ def test_the_network_learns_the_experts_outputs(train: ModuleType) -> None:
 
 
 @pytest.mark.slow
-def test_a_run_continues_and_writes_a_policy(
-    train: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_continues_and_writes_a_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    train = script("train_receiver_dagger", monkeypatch)
     shorten_episodes(monkeypatch, 600)
     small = {"num_envs": 2, "batches": 2, "seconds": 0.6, "epochs": 0.1, "workers": 1, "rounds": 1}
     args = train.Args(dataset="synthetic", out=tmp_path / "a", expert="hold", val_scenes=0, **small)
