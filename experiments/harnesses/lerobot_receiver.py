@@ -29,13 +29,15 @@ class LeRobotReceiver(Receiver):
     Args:
         context: Robot, task and known grasps of the objects; not used.
         folder: Folder with the trained policy, `pretrained_model` of a checkpoint.
+        fps: Frame rate of the data of its training (1/s), at which it decides.
     """
 
-    name, control_period = "lerobot", 1.0 / FPS
+    name = "lerobot"
     file_options = ("folder",)
 
-    def __init__(self, context: PolicyContext, folder: str) -> None:
+    def __init__(self, context: PolicyContext, folder: str, fps: float = FPS) -> None:
         super().__init__(context)
+        self.control_period = 1.0 / fps  # type: ignore[misc]
         path = Path(folder).resolve()
         config = PreTrainedConfig.from_pretrained(path)
         config.device = "cpu"
