@@ -11,9 +11,9 @@ report = handover_marl.benchmark(setup="s3")                     official protoc
 table = handover_marl.strangers("yang2021", setup="s0")          evaluation with unseen partners
 data = handover_marl.demonstrate(setup="s0", out="data/s0")      recorded episodes
 
-Public are: the names in `__all__` of this package and of `handover_marl.givers`,
-`handover_marl.receivers` and `handover_marl.testing`; all errors; all configurations; and every name
-on the pages of the documentation. Other names may change at any time.
+These names are public: those in `__all__` of this package and of `handover_marl.givers`,
+`handover_marl.receivers` and `handover_marl.testing`, all errors and configurations, and every name on
+the pages of the documentation. Other names may change at any time.
 """
 
 from importlib import import_module

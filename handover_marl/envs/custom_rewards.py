@@ -90,7 +90,7 @@ def set_discount(rewards: RewardLike, discount: float) -> Any:
 
 
 class RewardSource:
-    """Computation of both agents' reward terms in n episodes; the terms of an agent must have different names.
+    """Reward terms of both agents in n episodes; the terms of an agent must have different names.
 
     The argument `rows` (r,) of methods has the indices of r episodes. Each episode has its own deep copy of a
     user-defined function, or its own instance of a user-defined class, so that episodes share no attributes.
@@ -144,7 +144,7 @@ def _list_parts(rewards: RewardLike, weight: float = 1.0) -> list[tuple[float, A
 
 
 class CustomRewardSource:
-    """Computation of the terms of a user-defined reward; raises RewardError for wrong names or values of terms.
+    """Terms of a user-defined reward in n episodes; wrong names or values of terms raise `RewardError`.
 
     `functions` has one function of a transition for each episode. A method `reset(transition)` of the function, if
     there is one, is called at the start of the episode.

@@ -250,7 +250,7 @@ class StepData:
 
 
 class WeightedRewardSource:
-    """Computation of the library's reward terms (`TERMS`), each multiplied by its weight, in `count` episodes.
+    """Reward terms of the library (`TERMS`) in `count` episodes, each multiplied by its weight.
 
     `goal` (3,) is the position to which the gripper must bring the object, world frame (m).
     """

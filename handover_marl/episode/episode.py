@@ -29,8 +29,8 @@ class Episode:
     """Simulation of one handover episode at a time; environments and evaluations are built on it.
 
     Args:
-        physics: "exact" is HandoverSim's simulation bit for bit; "fast" simulates objects only while the robot is
-            near them, or after their release; "mujoco" is another engine.
+        physics: "exact" is HandoverSim's simulation bit for bit; "fast" simulates an object only after the robot
+            has come near it, or after the release; "mujoco" is another engine.
         config: Simulated world, protocol and limits of the giver.
         window: Whether to show PyBullet's window.
         sensors: Configuration of the cameras, whose images are rendered only when they are observed.

@@ -24,8 +24,8 @@ class SceneConfig:
         dataset: Dataset: dexycb, synthetic, generated:n=1000,seed=7 (any number of scenes), own:FOLDER (custom scenes),
             or auto (dexycb if a data folder is found, else synthetic).
         data_dir: Data folder in HandoverSim's layout; default: the environment variable HANDOVER_MARL_DATA.
-        physics: Physics: exact (official results), fast (objects are simulated only while the robot is near them, or
-            after their release), or mujoco (another engine).
+        physics: Physics: exact (official results), fast (an object is simulated only after the robot has come near
+            it, or after the release), or mujoco (another engine).
         robot: Robot model: panda, or panda_camera (with HandoverSim's wrist camera, whose housing can collide).
         renderer: Renderer of the cameras: bullet, rays, or auto (bullet in exact physics, else rays).
         camera_model: Projection of the cameras' point clouds: handoversim (shifted by one pixel, as in the

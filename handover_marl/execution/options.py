@@ -1,4 +1,4 @@
-"""Signatures and checks of options of public functions, and queries of the processor and installed packages."""
+"""Signatures and checks of arguments of public functions, and which packages and processor cores there are."""
 
 import functools
 import importlib.util

@@ -137,9 +137,8 @@ def test_contacts_and_outcome_reach_the_reward(make: Make) -> None:
 
 def test_keys_are_fixed_from_the_reset_on(make: Make) -> None:
     def sometimes(transition: Transition) -> dict[str, dict[str, float]]:
-        return (
-            {} if transition.step > 1 else {"receiver": {"near": float(transition.duration > 0)}, "giver": {"calm": 0}}
-        )
+        near = float(transition.duration > 0)
+        return {} if transition.step > 1 else {"receiver": {"near": near}, "giver": {"calm": 0}}
 
     for rewards, expected in ((approach, {"approach"}), (sometimes, {"near"})):
         env = make(rewards)

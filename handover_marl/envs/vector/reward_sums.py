@@ -65,7 +65,7 @@ class RewardSums:
             sums[rows] = 0.0
 
     def add(self, rows: AnyIndices, actions: Mapping[str, AnyArray], terminated: AnyArray, truncated: AnyArray) -> None:
-        """Add the rewards of a control step of the episodes `rows` (r,), after `EpisodeBatch.update_state`.
+        """Add the rewards of the last control step of the episodes `rows` (r,); first call `EpisodeBatch.update_state`.
 
         Actions (r, ...) by agent are float32; `terminated` and `truncated` (r,) say whether each episode has ended.
         """

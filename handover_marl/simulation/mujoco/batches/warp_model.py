@@ -243,7 +243,7 @@ class WarpModel:
         self.select_released(numbers, released)
 
     def select_released(self, numbers: AnyArray, released: AnyArray) -> None:
-        """Set whether the targets in rows 0 to m - 1 are released, a mask (m,), given the rows' scene numbers (m,)."""
+        """Set whether the target objects of the first m worlds are released, (m,); `numbers` (m,) are their scenes."""
         for name in _RELEASED_FIELDS:
             rows, own = self._rows[name], (self._scenes[key].rows[numbers] for key in (name + _RELEASED, name))
             rows[: len(numbers)] = get_namespace(rows).where(expand_mask(released, rows), *own)
