@@ -4,10 +4,10 @@
     python experiments/bench_speed.py --warp --sizes 256 1024 4096
     python experiments/bench_speed.py --cameras --vector-envs 32
 
-The measured environments take turns of a few steps in one process, and speeds are compared within one run, so that
-changes of the machine's speed cancel. With `--warp`, the script measures vector environments on a device, for several
-numbers of environments; the first step, which compiles kernels, is left out. With `--cameras`, it measures observations
-of the wrist camera in MuJoCo's physics.
+The measured environments take turns of a few steps, and speeds are compared within one run, so that changes of the
+machine's speed cancel. With `--warp`, the script measures vector environments on a device, for several numbers of
+environments; the first step, which compiles kernels, is left out. With `--cameras`, it measures observations of the
+wrist camera in MuJoCo's physics.
 """
 
 import time

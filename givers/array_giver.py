@@ -78,7 +78,7 @@ class ArrayGiver(ArrayPolicy, Giver):
 
 
 def is_hand_previewed(observation: Observation) -> AnyArray:
-    """Return a mask (r,): whether the hand is in the scene now and at the last previewed time of the recording."""
+    """Return a mask (r,): whether the hand is in the scene now and at the end of the observed part of the recording."""
     is_recorded = get_namespace(observation["time"]).any(observation["replay_wrist_poses"][:, -1] != 0.0, axis=1)
     return is_recorded & (observation["hand_present"][:, 0] != 0.0)
 

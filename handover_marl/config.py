@@ -126,8 +126,8 @@ def _check_number(name: str, value: Any, is_integer: bool, limits: tuple[float, 
 class MotorConfig(CheckedConfig):
     """Motor parameters of the position control of a group of joints.
 
-    Fast and MuJoCo physics use only `position_gain` for the human hand, and for objects while the Panda cannot reach
-    them soon. `force` and `velocity_gain` then have no effect.
+    In fast and MuJoCo physics, `force` and `velocity_gain` have no effect on the human hand, nor on objects until the
+    Panda has come near.
 
     Attributes:
         force: Largest motor force (N) or torque (N m).

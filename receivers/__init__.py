@@ -1,6 +1,6 @@
 """Receivers: policies of the robot.
 
-`hold` and `random` are simple baselines, `yang2021` is the reactive baseline of HandoverSim, and `omg`,
+`hold` and `random` are simple baselines, `yang2021` is a baseline of HandoverSim, and `omg`,
 `omg_hand_aware` and `omg_unchecked_last` plan motions. `reactive` follows the true poses of object and hand; `vision`
 and `gaddpg` use point clouds of the wrist camera. `learned:FILE` is a trained policy. A new receiver is a subclass of
 `Receiver`; packages register receivers by name in the entry-point group `handover_marl.receivers`.

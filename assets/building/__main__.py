@@ -1,4 +1,4 @@
-"""Command that builds shipped grasps: `python -m handover_marl.assets.building FILES`, with the extra `assets`."""
+"""Command that builds shipped grasps: `python -m handover_marl.assets.building --help`; needs the extra `assets`."""
 
 import tyro
 

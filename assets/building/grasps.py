@@ -59,7 +59,7 @@ Array = npt.NDArray[np.float64]
 
 _SEARCH: Final = {"n_pairs": 6000, "n_closed": 200, "n_grasps": 250, "n_rounds": 20}
 _N_HUMAN_GRASPS = 20  # of each object, side and subject
-_ANY_AXIS = (1.0,) * 6  # A hand may come from any side.
+_ANY_AXIS = (1.0,) * 6  # Any of the object's axes (+x, -x, +y, -y, +z, -z) may point up when it is grasped.
 _POINTS_PER_GRASP, _CANDIDATES_PER_GRASP = 200, 6
 _CHUNK = 10
 _N_ROBOT_GRASPS = 100  # of each of the library's objects

@@ -50,7 +50,7 @@ def make_config(args: PairArgs) -> PPOConfig:
     register_env("handover", lambda _: ParallelPettingZooEnv(make_env(args)))
     module = RLModuleSpec(ActorCritic, model_config={"width": args.width, "initial_std": args.initial_std})
     config = PPOConfig().environment("handover").learners(num_learners=0)
-    # RLlib discards batches that take longer, as they do on a busy machine.
+    # RLlib discards batches that take longer than the timeout, as they may on a busy machine.
     config.env_runners(num_env_runners=args.num_envs if args.num_envs > 1 else 0, sample_timeout_s=3600.0)
     config.multi_agent(policies=set(AGENTS), policy_mapping_fn=lambda agent, episode, **_: agent)
     config.rl_module(rl_module_spec=MultiRLModuleSpec(rl_module_specs=dict.fromkeys(AGENTS, module)))

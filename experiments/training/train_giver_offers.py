@@ -4,8 +4,8 @@
 
 An offer is the handover pose and the withdrawal of `HandoverPoseScheme`; the rest of the person's motion is scripted. A
 network predicts success and time of an offer from `OfferFeatures`. Offers of the first round are random. In later
-rounds, each offer is the best of 1, 4, 16 or 64 random ones by the network's prediction. The network is trained anew
-after each round. The folder gets `offers.npz`, the offers of all rounds, and `policy.npz`
+rounds, the network chooses among 1, 4, 16 or 64 random ones and, unless there is only 1, the recorded pose. It is
+trained anew after each round. The folder gets `offers.npz`, the offers of all rounds, and `policy.npz`
 (`--givers adaptive:weights=runs/offers/policy.npz`); `--resume` continues a run.
 """
 
@@ -169,7 +169,7 @@ class Collector:
     def _choose(self, network: DenseNetwork | None, vector: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return features (48,), nan without known grasps, and the offer (7,) that is chosen for a flat observation."""
         count = 1 if network is None else int(self.rng.choice(self.args.candidates))
-        # The first offer is the recorded pose: one of several candidates, but never the only one.
+        # The first offer is the recorded pose: a candidate beside several random ones, but never the only one.
         offers = draw_offers(self.rng, count + 1, self.args.spread)[0 if count > 1 else 1 :]
         space: spaces.Space[Any] = giver_observation_space()
         observation = add_episode_axis(spaces.unflatten(space, vector))

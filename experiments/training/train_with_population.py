@@ -11,8 +11,8 @@
 
 `fictitious_co_play` simplifies the method of Strouse et al. (NeurIPS 2021): of each pair, first the receiver is trained
 with `replay`, then the giver with this receiver, and there are no untrained partners. The policies are
-`OUT/EGO_METHOD/SEED.npz`, the pairs are in `OUT/pairs`. The script needs the extra `train`. The same command continues
-an interrupted run after the last written policy.
+`OUT/AGENT_METHOD/SEED.npz`, the pairs are in `OUT/pairs`. The script needs the extra `train`. The same command
+continues an interrupted run after the last written policy.
 """
 
 from dataclasses import dataclass, field, replace

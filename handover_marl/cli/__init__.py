@@ -10,7 +10,7 @@ from handover_marl.cli.streams import discard_output, prepare_streams, print_mes
 from handover_marl.errors import HandoverError
 from handover_marl.version import __version__
 
-# Help texts in much fewer columns take minutes, or never end.
+# In a much narrower terminal, formatting a help text takes minutes, or never ends.
 _MIN_COLUMNS = 40
 
 

@@ -119,7 +119,7 @@ def run_compare(
 def run_convert(
     folder: Folder, /, to: Literal["minari", "lerobot"], name: Annotated[str, tyro.conf.arg(metavar="NAME")]
 ) -> None:
-    """Convert demonstrations to a data set of another library, in the folder of that library.
+    """Convert demonstrations to a data set of Minari or LeRobot, in the data folder of that library.
 
     Args:
         folder: Output folder of `demonstrate`; for LeRobot one with a frame rate (--fps).
@@ -152,7 +152,7 @@ def run_strangers_table(
 
 
 def _split_names(folders: tuple[str, ...]) -> tuple[list[str], list[str] | None]:
-    """Return the folders without names, and their names if all are given as NAME=DIR, or None if none is."""
+    """Split arguments NAME=DIR into folders and names; the names are None if all arguments are folders."""
     named = [folder.partition("=") for folder in folders if not Path(folder).expanduser().is_dir()]
     names = [name for name, sign, _ in named if sign]
     if not names:
@@ -193,7 +193,7 @@ def run_import(
 
 
 def run_doctor(data_dir: DataDir = None, progress: Progress = True) -> int:
-    """Check the installation and a data folder, with the errors that an evaluation would raise.
+    """Check the installation and a data folder, and print the errors that an evaluation would raise.
 
     The exit status is 1 if there is a fault, else 0. Stand-ins for HandoverSim's models are not faults.
     """

@@ -15,7 +15,7 @@ from handover_marl.errors import OptionError
 from handover_marl.evaluation.config import REPLAY, EvaluationConfig, ExecutionConfig
 
 _Value = TypeVar("_Value")
-# Field of a configuration without an option.
+# Type of a field of a configuration that has no option on the command line.
 _Hidden: TypeAlias = tyro.conf.Suppress[tyro.conf.Fixed[_Value]]
 #: Policy of an agent.
 PolicyName: TypeAlias = Annotated[str, tyro.conf.arg(metavar="POLICY")]
@@ -36,7 +36,7 @@ Progress = Annotated[bool, tyro.conf.arg(help="Show a progress bar on stderr.")]
 Trust = Annotated[bool, tyro.conf.arg(help="Import modules that files name.")]
 
 
-#: Rules that read options.
+#: Rules by which tyro parses options that are numbers.
 OPTION_RULES = ConstructorRegistry()
 
 
@@ -108,11 +108,10 @@ SceneNumbers = Annotated[
 
 @dataclass(frozen=True)
 class PairArguments(EvaluationConfig):
-    """Options that configure scenes, policies and simulation; other fields can be set only in Python.
+    """Options that configure scenes, policies and simulation; further cameras and rules can be set only in Python.
 
     Attributes:
-        initial_joint_noise: Largest deviation of each of the robot's seven initial arm joint positions (rad), drawn
-            from the seed.
+        initial_joint_noise: Largest random deviation of each of the robot's seven initial arm joint positions (rad).
     """
 
     setup: Annotated[str | None, tyro.conf.arg(metavar="SETUP")] = None

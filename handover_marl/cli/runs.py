@@ -38,7 +38,7 @@ def run_benchmark(
     execution: ExecutionArguments = _EXECUTION,
     tables: TableArguments = _TABLES,
 ) -> None:
-    """Run HandoverSim's official protocol and print its table."""
+    """Evaluate a receiver by HandoverSim's official protocol and print the table."""
     report = benchmark(**evaluation.get_fields(), **vars(execution))
     print_tables(report, tables, _describe_path(execution, "report.html"))
 
@@ -98,7 +98,7 @@ def run_demonstrate(
     evaluation: PairArguments = PairArguments(split="train", receiver="reactive"),
     execution: ExecutionArguments = _EXECUTION,
 ) -> None:
-    """Record episodes of a train split for imitation learning (--out DIR).
+    """Record episodes of a train split for imitation learning; --out DIR is required.
 
     Args:
         obs_mode: Observation mode of the recording, independent of the receiver's: parts joined by +, e.g.
@@ -132,14 +132,14 @@ def run_render(
         scene: Number of the scene in its data set.
         out: Output file: .png for a grid of key frames, .gif or .mp4 for a video, .html for a 3D replay.
         receiver: The robot's policy; default: the robot stays at rest.
-        view: outside, or wrist for colors, depth and segmentation of the wrist camera below it.
+        view: outside, or wrist for the outside image above colors, depth and segmentation of the wrist camera.
         key_frames: Number of key frames of a .png.
         caption: Show the time and the state of the episode (released, contact, goal reached) in images and videos.
-        width: Width of an image in pixels.
-        height: Height of an image in pixels.
+        width: Width of the outside camera's image in pixels.
+        height: Height of the outside camera's image in pixels.
         position: Position of the outside camera in the world frame (m); default: 1.95 -0.2 1.75.
-        target: Point in the world frame at the center of the outside camera's image (m); default: 0.45 -0.2 1.15.
-        vertical_fov: Vertical field of view of the outside camera (degrees); default: 54.
+        target: Point in the world frame at the image's center (m); default, except in .html: 0.45 -0.2 1.15.
+        vertical_fov: Vertical field of view of the outside camera (degrees); default, except in .html: 54.
     """
     given = {"width": width, "height": height, "position": position, "target": target, "vertical_fov": vertical_fov}
     camera: Any = {name: value for name, value in given.items() if value is not None}

@@ -88,15 +88,15 @@ def add_motion(
         hand: Number of the shipped model of a person's hand, or none for a scene without a hand.
         others: Classes of the other objects, whose poses are in the file.
         frame: Frame of the poses: world, table, or the pose of another frame in the world.
-        object_offset: Pose of the object's frame in the recorded frame, such as the frame of its markers (m,
-            quaternion).
-        wrist_offset: Pose of the wrist's frame in the recorded frame.
+        object_offset: Pose of the object's frame in the recorded frame, such as the frame of its markers: position (m)
+            and quaternion xyzw.
+        wrist_offset: Pose of the wrist's frame in the recorded frame, in the same form.
         length: Unit of positions.
         time: Unit of times.
         quaternion: Order of quaternions in NPZ files.
         fingers: Form of finger angles in the file: intrinsic XYZ Euler angles or rotation vectors.
         max_gap: Largest time without recorded poses (s) that is filled by interpolation.
-        preview: Image of the recorded paths, which is written before they are checked.
+        preview: Image of the recorded paths (.png), written before they are compared with table and robot.
     """
     from handover_marl.assets.building.custom_scenes import CustomSceneFolder, MotionConfig
     from handover_marl.assets.building.custom_scenes.motion_tables import read_motion_table
@@ -146,7 +146,7 @@ def add_split(
 
 
 def check(folder: Folder, /) -> None:
-    """Check all files of a folder of custom scenes and print its objects, scenes and setups.
+    """Check all files of a folder of custom scenes and print its objects, number of scenes and setups.
 
     Args:
         folder: Folder of custom scenes.

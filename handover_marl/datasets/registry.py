@@ -22,7 +22,7 @@ class DatasetKind(NamedTuple):
 
     Attributes:
         title: Name in reports; reports show `TITLE: ARGUMENT` if the data set's name has an argument.
-        usage: Form of the name, for help and errors; "KIND:..." if the name has an argument.
+        usage: Example of the name, for help and errors; with a ":", names of this kind need an argument.
         note: Sentence below the tables of reports; "" for none.
     """
 

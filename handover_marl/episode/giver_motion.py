@@ -274,7 +274,7 @@ class GiverMotion:
         return PlannedMotion(rows, reference, states)
 
     def count_steps_until_pick_up(self, motion: PlannedMotion) -> AnyIntegers:
-        """Count the planned steps (r,) that start before each giver of a planned motion has picked up the object."""
+        """Count, for each giver, the planned steps (r,) that start before it picks up the object."""
         rows = motion.rows
         return count_steps_until_pick_up(self._pick_up[rows], self.state.frame[rows], motion.states.frame)
 

@@ -84,7 +84,7 @@ class RefereeState(NamedTuple):
         return RefereeState(*(array[rows] for array in self))
 
     def assign_rows(self, rows: AnyIndices, states: "RefereeState") -> None:
-        """Replace the states of the episodes with the indices `rows` (r,) by `states`."""
+        """Set the states of the episodes with the indices `rows` (r,) to `states`."""
         for array, values in zip(self, states, strict=True):
             array[rows] = values
 

@@ -62,8 +62,8 @@ def benchmark(
         ResultsError: `out` holds another evaluation or cannot be written.
         ActionError: The receiver returned a malformed action.
         PolicyError: The receiver's code failed.
-        OptionError: `workers` is less than one, the world or the giver is not the official one, or inference takes
-            simulated time.
+        OptionError: A value is out of range, an option needs `out`, the world or the giver is not the official one, or
+            inference takes simulated time.
         WorkerError: A worker process died; on Ray twice over the same scene.
     """
     config, execution = build_configs(options, setup=setup, split=split, receiver=receiver)

@@ -88,7 +88,7 @@ class Comparison(TabularResult):
         scores = [[result.speed_score for result in side] for side in sides]
         gain = estimate_mean([one - other for one, other in zip(*scores, strict=True)])
         if scores[0] == scores[1]:
-            # The bootstrap has no width; as for AS without a success, the interval is that of the success rate.
+            # The bootstrap has no width; the interval is then that of the difference of the success rates.
             successes = ([result.success for result in side] for side in sides)
             gain = replace(gain, interval_95=estimate_paired_difference(*successes).interval_95)
         means = [estimate_average_success(side).format(".2f", ".1f") for side in scores]
@@ -124,14 +124,14 @@ class Comparison(TabularResult):
 
 
 def compare(first: str | os.PathLike[str], second: str | os.PathLike[str]) -> Comparison:
-    """Compare two evaluations scene by scene, given their result folders (also HandoverSim's) or episode files.
+    """Compare two evaluations scene by scene, on the scenes that both have.
 
     Args:
-        first: Result folder or episode file A.
-        second: Result folder or episode file B, of the same setup, split and dataset.
+        first: Evaluation A: a result folder, also HandoverSim's, or a file of outcomes (`docs/results/data/episodes`).
+        second: Evaluation B, of the same setup, split and dataset, in one of the same forms.
 
     Raises:
-        ResultsError: A folder or file is not readable, or the folders cannot be compared: other splits or
+        ResultsError: A folder or file is not readable, or the two cannot be compared: different setups, splits or
             datasets, no common scene, or different data (checked if both have the same version).
     """
     report, other = load_report(first), load_report(second)

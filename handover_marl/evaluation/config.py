@@ -54,7 +54,7 @@ class EvaluationConfig(SceneConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        # Plain values, so that configurations compare, hash and pickle.
+        # Plain values, so that configurations can be compared, hashed and pickled.
         seed: object = self.seed
         if isinstance(seed, bool) or not isinstance(seed, Integral) or abs(int(seed)) >= _SEED_LIMIT:
             raise OptionError(f"seed must be an integer of at most 64 bits, got {shorten_text(seed)}")
@@ -85,10 +85,10 @@ class ExecutionConfig(PoolConfig):
     """Configuration of the execution: workers and output; outcomes do not depend on it.
 
     Attributes:
-        shard: Part of the scenes to evaluate, e.g. 3/16 for the third of 16; all parts may have one output folder.
+        shard: Part of the scenes to evaluate, e.g. 3/16 for the third of 16; all shards may use one output folder.
         out: Folder for results and reports; an interrupted evaluation resumes there.
         progress: Show a progress bar on stderr.
-        trust: Import modules that policy files (learned:FILE) or a population name.
+        trust: Import modules that are named in policy files (learned:FILE) or in a population.
         overwrite: Delete the results in the output folder instead of resuming.
         replays: Episodes with a 3D replay page: none, failed or all. Finished episodes without a page are simulated
             again, and must end with the same outcome.
@@ -119,7 +119,7 @@ class ExecutionConfig(PoolConfig):
 
 
 def build_configs(options: Mapping[str, Any], **arguments: Any) -> tuple[EvaluationConfig, ExecutionConfig]:
-    """Build the configurations of evaluation and execution from their fields `options` and `arguments`."""
+    """Build the configurations of evaluation and execution from their fields; `arguments` override `options`."""
     names = {field.name for field in fields(ExecutionConfig)}
     given = {**options, **arguments}
     execution = ExecutionConfig(**{name: value for name, value in given.items() if name in names})

@@ -43,7 +43,7 @@ CROSSPLAY_CSV = "crossplay.csv"
 _NOTE = f"Means of the fluency metrics are in {CROSSPLAY_CSV}, and in the report of each pair."
 _CSV_IDENTITY = ("setup", "split", "dataset", "physics", "world", "seed", "inference_time")
 _CSV_COLUMNS = (*RATES, AVERAGE_SUCCESS, *TIMES, *FLUENCY)
-# File systems allow names of 255 bytes; a hash follows longer names.
+# Longer names of folders are cut, and a hash follows; file systems allow 255 bytes.
 _MAX_NAME_BYTES = 200
 
 
@@ -154,7 +154,7 @@ class CrossPlay(TabularResult):
         return ReportTable(["giver", "receiver", *(column.title for column in columns)], rows, n_keys=2)
 
     def _format_gains(self, pair: PolicyPair, baseline: PolicyPair) -> list[object]:
-        """Return cells: number of scenes, and success and contact rate of a pair minus those of `baseline` (points)."""
+        """Return cells: number of scenes; success and contact rate minus those of `baseline` (percentage points)."""
         sides = [self.reports[each].episodes for each in (pair, baseline)]
         differences = [
             estimate_paired_difference(*([bool(each.status & status) for each in side] for side in sides))
@@ -213,7 +213,7 @@ def resolve_policies(
 ) -> list[PolicyReference]:
     """Return references of the policies of one agent, without duplicates, in the given order.
 
-    With `trust`, modules that policy files name may be imported.
+    With `trust`, modules that policy files name may be imported. Different policies with one label raise `OptionError`.
     """
     requested: Any = [policies] if isinstance(policies, (str, type, Policy, PolicyReference)) else policies
     if not isinstance(requested, Sequence) or not requested:

@@ -1,8 +1,8 @@
 """Simulation of the scenes of an evaluation, in this process or in worker processes.
 
 Nodes of a Ray cluster share no files with the main machine. The configuration, the policies' code
-and their files are sent to the nodes; the library, its dependencies and the DexYCB data must be
-installed there. Library and data are compared with the main machine's before a simulation.
+and their files are sent to the nodes; the library, its dependencies and the data folder must be
+there already. Library and data are compared with the main machine's before a simulation.
 """
 
 import contextlib
@@ -148,9 +148,9 @@ def _open_runner(
 ) -> Iterator[Callable[[SceneTask], FinishedEpisode]]:
     """Yield the function that simulates a task.
 
-    On a node of a cluster, `remote` has the data folder that was passed on the main machine, the one in its environment
-    ("" for none), and the policies with their files. A folder that was passed is used if the node has it, else that in
-    the node's environment, else that in the main machine's.
+    On a node of a cluster, `remote` has the data folder that was passed on the main machine, the one in that machine's
+    environment ("" for none), and the policies with their files. The folder that was passed is used if the node has it,
+    else the one in the node's environment, else the one in the main machine's environment.
     """
     with contextlib.nullcontext("") if remote is None else TemporaryDirectory() as folder:
         if remote is not None:

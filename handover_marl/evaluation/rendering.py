@@ -75,13 +75,13 @@ def render_scene(
         receiver: The robot's policy, as in `benchmark`; None keeps the robot at rest.
         giver: The person's policy, as in `evaluate_pair`.
         key_frames: Number of images of a `.png`, evenly spaced from start to end of the episode.
-        camera: Pose and image size of the outside camera.
+        camera: Pose, field of view and image size of the outside camera; default: a view from the side.
         view: "outside", or "wrist" for the outside image above colors, depth and segmentation of the wrist camera.
         caption: Whether images and videos show the simulated time and the state of the episode:
             "object touched", "released", "contact", "drop", "timeout" or "goal reached".
-        options: `setup`, whose weights some policies take, `dataset`, `data_dir`, `physics`, `robot`, `renderer`,
-            `camera_model`, `camera_noise`, `seed`, `inference_time`, `progress` and `trust`, see
-            `handover_marl.EvaluationConfig` and `handover_marl.ExecutionConfig`.
+        options: Fields of `handover_marl.EvaluationConfig` and `handover_marl.ExecutionConfig`, except those
+            for several scenes or for result folders, such as `split` and `workers`. The weights of some policies
+            depend on `setup`.
 
     Returns:
         Path of the written file.

@@ -4,9 +4,9 @@ A result folder has `config.yaml` and one `IDX.npz` per scene, with IDX its inde
 (T, 9), `elapsed_time` (T,) policy time of every step (s), `elapsed_frame` = T, `result` the status flags. Files of this
 library hold the other fields of `EpisodeResult` too, which official readers ignore.
 
-An episode file is JSON without the actions. The key `metadata` holds the identity of the evaluation, `common` the
-values that all episodes share, `columns` the keys of the other values, and `episodes` one row for each scene. Keys and
-units are as in the episodes of `report.json`.
+An episode file (a "file of outcomes" in the documentation) is JSON without the actions. The key `metadata` holds the
+identity of the evaluation, `common` the values that all episodes share, `columns` the keys of the other values, and
+`episodes` one row for each scene. Keys and units are as in the episodes of `report.json`.
 """
 
 import json
@@ -348,7 +348,7 @@ def format_episode_file(metadata: ResultMetadata, episodes: Iterable[EpisodeResu
         del values["status"]
         fluency = values.pop("fluency") or dict.fromkeys(_METRICS)
         metrics = {key: None if value is None else float(f"{value:.4g}") for key, value in fluency.items()}
-        # The cells that most readers look for come first.
+        # The values that most readers look for come first.
         first = {key: values.pop(key) for key in ("index", "scene_id", "outcome")}
         rows.append({**first, **values, "plan_s": round(episode.plan_s, 4), **metrics})
     common = {key: value for key, value in rows[0].items() if all(row[key] == value for row in rows)}

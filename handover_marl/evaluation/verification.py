@@ -50,7 +50,7 @@ from handover_marl.version import __version__
 Actions = npt.NDArray[np.float32]
 
 _MAX_REPORT_BYTES = 64_000_000
-# Values that cannot be simulated (wall-clock times and their machine), and those that versions may compute differently.
+# Values that are not compared (`status` is the same as `outcome`), and values that are compared in one version only.
 _UNVERIFIED, _VERSIONED = ("plan_s", "late_s", "machine", "status"), ("fingerprint", "models")
 _TOLERANCE = 1e-6
 
@@ -140,18 +140,18 @@ def verify(
 
     The receiver's code is not needed. The simulation uses the physics, robot, giver and seed that
     the folder states. Statuses, steps, release steps and descriptions must be equal, metrics equal
-    up to rounding (1e-6). Planning times, the label and the hash of the receiver cannot be verified.
+    up to rounding (1e-6). Planning and inference times, and label and hash of the receiver, cannot be verified.
 
     Args:
         folder: Result folder, of this library or of HandoverSim; nothing in it is changed.
-        data_dir: Data folder in HandoverSim's layout; default: the environment variable HANDOVER_MARL_DATA.
+        data_dir: Folder of custom scenes, or in HandoverSim's layout; default: environment variable HANDOVER_MARL_DATA.
         scenes: Scene numbers to verify; default: all scenes with a result.
         giver: The person's policy; default: the registered policy that the folder names.
         world_config: World and rules; must be the same as in the evaluation. Default: the official ones, with the
             noise of the robot's initial joint positions that the folder states.
         workers: Number of worker processes; default: one per core.
         progress: Whether to show a progress bar on stderr.
-        trust: Whether modules that policy files name, or the folder as its giver, may be imported.
+        trust: Whether modules may be imported that a policy file names, or that the folder names for its giver.
 
     Raises:
         ResultsError: The folder cannot be read, or was made with another world.
@@ -225,7 +225,7 @@ def check_episode(runner: EpisodeRunner, folder: Path, same_version: bool, task:
 
 
 def compare_results(stored: EpisodeResult, simulated: EpisodeResult, same_version: bool) -> list[Difference]:
-    """Return the values in which a stored result differs from the simulated one, except for planning time and machine.
+    """Return the values in which a stored result differs from the simulated one, except for times of decisions.
 
     Values that HandoverSim's files lack are skipped. Versions may compute hashes of data and descriptions of models
     differently, so these are compared only if the `same_version` of the library stored the result.
@@ -337,5 +337,5 @@ def check_actions(path: Path, actions: npt.NDArray[Any], n_steps: int) -> Action
             f"{path}: action must be finite float32 of shape ({n_steps}, {PANDA_DOF}), got {actions.dtype} "
             f"{actions.shape}"
         )
-    # HandoverSim applies actions in the precision in which its policies return them.
+    # HandoverSim stores actions in the type that its policies return; the simulation applies float32.
     return actions.astype(np.float32)

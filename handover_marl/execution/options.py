@@ -1,4 +1,4 @@
-"""Signatures and checks of arguments of public functions, and which packages and processor cores there are."""
+"""Signatures of public functions, checks of their arguments, and queries of packages and processor cores."""
 
 import functools
 import importlib.util

@@ -65,8 +65,8 @@ class Pool:
         """Apply a function to tasks and yield (index in `tasks`, result) as tasks finish.
 
         Functions and classes of scripts and notebooks are sent by value. Closing the generator ends all running tasks.
-        Errors of the function are raised here, from worker processes as errors of this library: other errors become
-        `WorkerError`, as does the death of a process.
+        Errors of the function are raised here. In a worker process, errors that are not of this library, and the death
+        of the process, become `WorkerError`.
 
         Args:
             open_worker: Function that returns a context manager, which yields the function to apply. Each worker
@@ -88,7 +88,7 @@ class Pool:
         waiting, running = list(reversed(range(len(tasks)))), dict[Future[bytes], int]()
         try:
             while waiting or running:
-                # No more are submitted than processes exist, so that these are the ones that run if a process dies.
+                # At most one task a process, so that the error names only tasks that ran when a process died.
                 while waiting and len(running) < n_workers:
                     pickled = pickle_by_value(tasks[waiting[-1]])
                     running[self._executor.submit(run_pickled_task, *job, pickled)] = waiting.pop()

@@ -1,7 +1,7 @@
 """Giver that chooses where and how to offer the object, by a network that predicts the success of offers.
 
-An offer is a vector of outputs of `HandoverPoseScheme`. Its features depend on what a person can see: the object, the
-own hand, the gripper, and the known grasps of the object. They do not depend on the receiver's policy.
+An offer is a vector of outputs of `HandoverPoseScheme`. Its features depend on what a person can see (the object, the
+own hand, the robot) and on the known grasps of the object, but not on the receiver's policy.
 """
 
 import functools

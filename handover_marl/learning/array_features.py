@@ -1,8 +1,8 @@
 """Feature vectors for small networks, computed from observations of many episodes at once.
 
-Positions are scaled to decimeters, or as a class states, and expressed in the frame of the planned handover or of the
-gripper, so that the components are of order one and independent of the world frame. Features do not depend on the other
-episodes.
+Except in `FlatFeatures`, positions are in decimeters, or scaled as a class states, and in the frame of the planned
+handover or of the gripper, so that the components are of order one and hardly depend on the world frame. Features do
+not depend on the other episodes.
 """
 
 from abc import ABC, abstractmethod
@@ -115,10 +115,10 @@ def rotate_to_world(axes: AnyArray, vectors: AnyArray) -> AnyArray:
 class GiverFeatures(ArrayFeatures):
     """Features (39) from which a giver can choose a handover pose.
 
-    In the frame of `compute_handover_frames`: horizontal distance and height of the gripper; origin of the
-    frame relative to the goal (in the world frame); wrist position, mean finger position and object
-    orientation 0.5 s later in the recording; whether the object was released; and the YCB class
-    of the object (one-hot; zeros for another class).
+    In the frame of `compute_handover_frames`: horizontal distance and height of the gripper (both minus 5 dm); origin
+    of the frame relative to the goal (in the world frame); wrist position, mean finger position and object orientation
+    (first two columns of its rotation matrix) 0.5 s later in the recording; whether the object was released; and the
+    YCB class of the object (one-hot; zeros for another class).
     """
 
     name, agent, size = "giver", "giver", 18 + LARGEST_YCB_CLASS
@@ -149,10 +149,10 @@ class GiverFeatures(ArrayFeatures):
 class ReceiverFeatures(ArrayFeatures):
     """Features (56) from which a receiver can take an object to the goal.
 
-    In the gripper frame: positions (m, times 5) of the object, the person's wrist, the mean of the person's fingers and
-    the goal, the object's orientation, and the world's vertical. Then follow the robot's finger joints and their
-    velocities, both scaled, its arm joints (rad), whether the object was released, the elapsed share of the episode,
-    whether a hand is present, and the YCB class of the object (one-hot; zeros for another class).
+    In the gripper frame: positions (m, times 5) of the object, the person's wrist, the mean of the person's fingers
+    (both 0 without a hand) and the goal, the object's orientation, and the world's vertical. Then follow finger joints
+    (m, times 50, minus 1) and their velocities (m/s, times 10), arm joints (rad), whether the object was released, the
+    elapsed share of the time limit, whether a hand is present, and the YCB class (one-hot; 0 for others).
     """
 
     name, agent, size = "receiver", "receiver", 35 + LARGEST_YCB_CLASS
@@ -185,9 +185,9 @@ class ReceiverFeatures(ArrayFeatures):
 class GraspFeatures(ReceiverFeatures):
     """Features (64): those of `ReceiverFeatures` (56), and of the grasp of lowest cost (8).
 
-    The latter are, in the gripper frame: translation to the grasp (3, scaled), rotation vector to it (3), clearance
-    of the gripper to the person's hand on its way to the grasp (1, scaled), and whether grasps of the object are known
-    (1).
+    The latter are, in the gripper frame: translation to the grasp (3, m times `GRASP_SCALE`), rotation vector to it (3,
+    rad), clearance of the gripper to the person's hand on its way to the grasp (1, dm), and whether grasps of the
+    object are known (1).
     """
 
     name, size = "grasp", ReceiverFeatures.size + 8
@@ -256,10 +256,10 @@ class GraspVelocityFeatures(GraspFeatures):
 class GraspProximityFeatures(GraspFeatures):
     """Features (12) that suffice to decide when to close the gripper.
 
-    In the gripper frame: translation (3) and rotation vector (3) to the grasp of lowest cost. Then
-    follow the proximities of position and orientation, which decay exponentially with distance (2), the
-    finger joints (2), whether the object was released (1), and whether grasps of the object are known (1). With so
-    few features a policy learns to close the gripper from few episodes.
+    In the gripper frame: translation (3, m times `GRASP_SCALE`) and rotation vector (3, rad) to the grasp of lowest
+    cost. Then follow the proximities of position and orientation, which decay exponentially with distance (2), the
+    finger joints (2, m times 50, minus 1), whether the object was released (1), and whether grasps of the object are
+    known (1). With so few features a policy learns to close the gripper from few episodes.
 
     Attributes:
         position_scale: Distance from the grasp at which the proximity of the position is 1/e (m).

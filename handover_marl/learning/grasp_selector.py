@@ -34,16 +34,16 @@ Array = npt.NDArray[np.float64]
 #: Largest clearance that is computed: larger ones are set to this (m).
 MAX_CLEARANCE = 0.2
 
-# Radius of a finger around its joints (m), and length of the straight approach that must be clear (m).
+# Radius of a person's finger around its joints (m), and length of the straight approach that must be clear (m).
 _FINGER_RADIUS, _APPROACH = 0.012, 0.08
-# Boxes of the gripper in the hand link's frame: the hand body on its approach, and the volume between open fingers.
+# Boxes in the hand link's frame that the gripper sweeps: the hand body on its approach, and the fingers as they close.
 _SHIFT = np.array([0.0, 0.0, 0.5 * _APPROACH])
 _BOXES = ((GRIPPER_BOX_CENTERS[0] - _SHIFT, GRIPPER_BOX_HALF_SIZES[0] + _SHIFT), CLOSING_BOX)
 
 # Iterations of inverse kinematics, its damping, and the largest translation (m) and rotation (rad) of one.
 _N_ITERATIONS, _DAMPING, _MAX_TRANSLATION, _MAX_ROTATION = 10, 0.05, 0.3, 1.2
-# Amount by which joint limits are narrowed (rad), weight of a rotation that remains (m/rad), and largest distance of a
-# reachable pose that counts: larger ones cost the same (m).
+# Amount by which joint limits are narrowed (rad), weight of a rotation that remains (m/rad), and largest distance from
+# a reachable pose that counts: larger ones cost the same (m).
 _LIMIT_PADDING, _ERROR_ROTATION_WEIGHT, MAX_REACH_DISTANCE = 0.03, 0.1, 0.3
 # Numbers of grasps per episode whose clearance, and then whose reach, is computed: those of lowest cost so far.
 _N_CLEARANCES, _N_REACHES = 96, 12

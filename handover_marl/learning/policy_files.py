@@ -183,7 +183,7 @@ class PolicySpec:
         features: Features that are the inputs, see `handover_marl.encode`, or `OBSERVATION`; always text in files.
         actions: Action scheme that decodes outputs, see `handover_marl.encode`; always text in files.
         control_period: Time between two decisions (s).
-        origin: Command, seed and budget of the training, for human readers.
+        origin: Description of the training, such as script and arguments, for human readers.
         obs_mode: Observation mode of a receiver, e.g. "state", see `handover_marl.parallel_env`.
     """
 
@@ -200,7 +200,7 @@ _DEFAULT_PERIOD = 0.1  # s, as that of environments
 
 
 def check_policy_path(path: Path) -> None:
-    """Check that a path ends in .npz, as policy files do, so that a training does not fail at its end."""
+    """Raise OptionError unless a path ends in .npz, as policy files do, so that a training does not fail at its end."""
     if path.suffix != ".npz":
         raise OptionError(f"a policy file to write must end in .npz, got {path}; choose another name")
 

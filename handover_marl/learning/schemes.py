@@ -34,8 +34,8 @@ class RawGiverScheme(RawScheme):
 class DeviationScheme(ArrayScheme):
     """Scheme whose 8 outputs in [-1, 1] are multiplied by the upper bounds of `giver_action_space`.
 
-    They are a change of the playback rate, a displacement (m), a rotation vector (rad) and the release. The giver
-    follows the recording if all are 0, and releases the object if the last one exceeds 0.5.
+    The products are the playback rate minus 1, displacement (m) and rotation vector (rad) of the wrist (world frame),
+    and the release. The giver follows the recording if all are 0; it releases the object if the last exceeds 0.5.
     """
 
     name, agent, size = "deviation", "giver", GIVER_ACTION_SIZE
@@ -68,9 +68,9 @@ class HandoverPoseScheme(ArrayScheme):
         max_output_translation: Translation of the object at output 1 (m).
         max_output_rotation: Rotation of hand and object at output 1 (rad).
         max_withdrawal: Distance by which the hand withdraws at output 1 (m).
-        arrival_tolerance: Largest distance that the recorded wrist may still move along an axis when
-            outputs are requested (m).
-        latest_decision_s: Episode time at which outputs are requested at the latest (s).
+        arrival_tolerance: Outputs are requested when the recorded wrist will move by less than this along each axis
+            between 0.3 and 0.5 s from now (m).
+        latest_decision_s: Episode time from which outputs are requested even if the recorded wrist still moves (s).
         pose_variation: Variation of the pose if the gripper does not approach.
     """
 
@@ -94,7 +94,7 @@ class HandoverPoseScheme(ArrayScheme):
         self.pose_variation.reset(row)
 
     def needs_outputs(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return (r,) whether to decide: once, when the hand with the object stops soon, or at `latest_decision_s`."""
+        """Return (r,) whether to decide, once: a hand has the object, and stops soon or `latest_decision_s` is over."""
         xp, coming = self._arrays.xp, observation["replay_wrist_poses"][:, 2:, :3]
         moves = xp.astype(xp.max(xp.abs(coming - coming[:, -1:]), axis=(1, 2)), xp.float64)
         is_arriving = moves < self.arrival_tolerance
@@ -386,6 +386,6 @@ class GraspServoScheme(HandMotionScheme):
 
 
 def _limit_largest(vectors: AnyArray) -> AnyArray:
-    """Scale vectors (r, k) down so that no element exceeds 1; the directions remain."""
+    """Scale vectors (r, k) down so that no element exceeds 1 in absolute value; the directions remain."""
     xp = get_namespace(vectors)
     return vectors / xp.max(xp.abs(vectors), axis=1, keepdims=True).clip(1.0)

@@ -72,7 +72,7 @@ class PlannerConfig:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Planned trajectory in the robot's base frame.
+    """Planned trajectory of the arm to a grasp.
 
     Attributes:
         start: (7,) configuration before the first waypoint (rad).
@@ -197,7 +197,7 @@ class Chomp:
         return float(0.5 * (steps**2).sum())
 
     def step(self, trajectory: Array, approach: Array, number: int) -> Array:
-        """Return a trajectory (w, 7) after gradient step `number`, from 1; its end is moved to `approach` (t, 7)."""
+        """Return a trajectory (w, 7) after gradient step `number` (from 1), moved to end with `approach` (t, 7)."""
         smooth = self._metric @ trajectory + self._start_gradient[:, None] * self._start
         near = _OBSTACLE_WEIGHT * self._cost.compute_gradient(trajectory, self._start, approach[-1])
         near = np.clip(near, -_MAX_GRADIENT, _MAX_GRADIENT)

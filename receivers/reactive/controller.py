@@ -44,7 +44,7 @@ class ReactivePhase(Enum):
         WAIT: The arm is at its waiting pose, or moves there, until a person offers an object.
         APPROACH: The gripper moves to the standoff of the selected grasp.
         FINAL_APPROACH: The gripper moves from the standoff to the grasp in a straight line.
-        CLOSE: The fingers close, until the person releases the object.
+        CLOSE: The fingers close, until the person releases the object or the grasp has failed.
         BACK_OUT: The gripper backs out after a missed grasp.
         RETREAT: The robot carries the object to the goal.
     """

@@ -101,10 +101,10 @@ def load_obstacle(context: PolicyContext, object_name: str) -> Spheres:
 def find_offset_grasps(
     graspable: GraspableObject, human_hand: Spheres, config: ReactiveConfig
 ) -> tuple[ValidatedGrasps, Array]:
-    """Return n offset copies of an object's grasps that are clear of the person's hand, and their pad margins (n,).
+    """Return n offset copies of an object's grasps, clear of the person's hand, and their pad margins (n,) in m.
 
-    `perturb_grasps` makes the copies, and `compute_pad_margins` their margins (m); copies with a small margin are left
-    out. The spheres `human_hand` are in the object's frame.
+    The margins are distances of contacts from the edges of the pads; copies with a small margin are left out. The
+    spheres `human_hand` are in the object's frame.
     """
     offset = perturb_grasps(graspable.grasps, graspable.points, human_hand, config.approach.standoff)
     margins = compute_pad_margins(offset.poses, graspable.points)

@@ -73,7 +73,7 @@ class MotionController:
         return self.move_open(self._separate(velocity, self._config.hand_clearance))
 
     def move_to(self, goal: Array, surface: Spheres) -> Action:
-        """Return the action to joints (7,) in rad, clear of person and object; `surface` is in the object's frame."""
+        """Return the action towards joints `goal` (7,) (rad), clear of person and object (`surface`, in its frame)."""
         velocity = self.servo.limit_speed(self.servo.compute_goal_velocity(self.scene.arm_joints, goal))
         return self.move_open(self._separate(velocity, self._config.hand_clearance, surface=surface))
 

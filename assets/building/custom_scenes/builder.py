@@ -61,9 +61,9 @@ class CustomSceneFolder:
         folder: Path of the folder, whose name is the name of the data set in results.
 
     Raises:
-        OptionError: `folder` is not a path, or its name has other characters than letters, digits, '_', '.' and '-'.
-        ResultsError: The folder has files, but no `scenes.json`.
-        DataFormatError: The file `scenes.json` is damaged.
+        OptionError: `folder` is not a path, or its name is not 1 to 64 letters, digits, '_', '.' or '-', of which the
+            first is a letter or digit.
+        ResultsError, DataFormatError: The folder has files, but no `scenes.json`, or a damaged one.
     """
 
     def __init__(self, folder: str | os.PathLike[str]) -> None:
@@ -110,8 +110,8 @@ class CustomSceneFolder:
             The object, with the number of grasps that held it and the repairs of its mesh.
 
         Raises:
-            OptionError: The name belongs to a YCB class or to an object of the folder, or is no file name.
-            DataNotFoundError, DataFormatError: The mesh file is missing, damaged or no solid body.
+            OptionError: An argument is out of range, or a YCB class or an object of the folder has the name already.
+            DataNotFoundError, DataFormatError, ResultsError: No mesh file, no solid body, or no access to the folder.
         """
         text = check_file_name("name", name, CLASS_NAMES.values())
         config = config or MeshConfig()
@@ -138,7 +138,7 @@ class CustomSceneFolder:
                     repairs=item.repairs,
                 )
                 target = self.folder / OBJECT_FOLDER / text
-                # What an interrupted call left there belongs to no object.
+                # Files that an interrupted call has left there belong to no object.
                 shutil.rmtree(target, ignore_errors=True)
                 shutil.copytree(model, target)
                 replace(content, objects=(*content.objects, added)).write(self.folder)
@@ -174,8 +174,8 @@ class CustomSceneFolder:
             The scene, with the repairs of its motion.
 
         Raises:
-            OptionError: An argument is out of range.
-            UnknownNameError: A class or a side does not exist.
+            OptionError, ResultsError: An argument is out of range, or the folder cannot be written.
+            UnknownNameError: A class, a side or a hand does not exist.
             DataNotFoundError, DataFormatError: The recording is missing, malformed, or not at the table.
         """
         names = (object_name, *others)

@@ -1,4 +1,4 @@
-"""Fingers of a shipped hand that close on an object, for recordings of the wrist alone."""
+"""Closing of a shipped hand's fingers on an object, for recordings of the wrist without finger angles."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ from handover_marl.geometry.poses import compose, invert_pose
 Array = npt.NDArray[np.float64]
 
 _PICK_UP_DISTANCE, _CLOSING_TIME = 0.005, 0.4  # m, as in the giver's motion; s
-# Digits that touch the object; numbers of postures, and of postures whose fingers are closed.
+# Smallest number of digits that touch the object; numbers of open postures, and of those whose fingers are closed.
 _MIN_TOUCHING, _N_OPENINGS, _MAX_CLOSED = 2, 1500, 200
 #: Largest distance by which a recorded wrist is moved (m).
 MAX_SHIFT = 0.021
@@ -36,8 +36,8 @@ _SHIFTS = sorted(
 def close_hand(table: MotionTable, solid: Solid, hand: int, side: Side) -> tuple[MotionTable, Array]:
     """Return a recording, and angles (n, 45) in rad of fingers that close on the object until it is picked up.
 
-    `hand` is the number of a shipped hand, n the number of rows with the wrist. The returned recording equals `table`,
-    but its wrist is moved by up to `MAX_SHIFT` if the hand would be inside of the object.
+    `hand` is the number of a shipped hand, n the number of rows with the wrist. In the returned recording the wrist is
+    moved by up to `MAX_SHIFT` if the hand would be inside of the object. Without a grasp, `DataFormatError` is raised.
     """
     if table.wrist is None:
         raise DataFormatError("the motion has no wrist; add its poses, or pass hand=None")
@@ -94,7 +94,7 @@ def find_hand_grasp(
         looseness = np.maximum(closed.gaps, 0.0).mean(axis=(1, 2))
         best = int(np.argmax(touching.sum(axis=1) + touching[:, 4] - np.minimum(looseness, 0.9)))
         if touching[best].sum() < _MIN_TOUCHING:
-            # The hand is not inside of the object but too far from it: moving it would take longer than it is worth.
+            # The hand is not inside of the object but too far from it; other shifts are not tried, as each takes long.
             fault = f"only {touching[best].sum()} digits that reach it"
             break
         signs = _MIRRORED_ANGLES if is_left else np.ones(45)

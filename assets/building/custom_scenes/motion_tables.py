@@ -35,7 +35,7 @@ Array = npt.NDArray[np.float64]
 
 OBJECT, WRIST, TIME = "object", "wrist", "time"
 N_FINGER_ANGLES: Final = 45
-# World poses of frames of recorded poses: the world of the simulation, and the table's frame of DexYCB.
+# Poses in the world of the frames that have a name: the simulation's world, and the table's frame of DexYCB.
 _FRAMES: Final = {"world": (0.0,) * 6 + (1.0,), "table": (0.0, 0.0, TABLE_HEIGHT, 0.0, 0.0, 0.0, 1.0)}
 _LENGTHS: Final = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 _MOTIVE_LENGTHS: Final = {"Meters": "m", "Centimeters": "cm", "Millimeters": "mm"}
@@ -125,7 +125,7 @@ class MotionTable:
 
 
 def read_motion_table(source: "str | Path | Mapping[str, npt.ArrayLike]", config: MotionConfig) -> MotionTable:
-    """Read recorded poses, with the units of `config`, from a file or arrays; faulty ones raise `DataFormatError`."""
+    """Read poses from a file or arrays as `config` states; raise DataNotFoundError or DataFormatError if that fails."""
     name = "the motion" if isinstance(source, Mapping) else str(Path(source).expanduser())
     try:
         if isinstance(source, Mapping):
@@ -161,7 +161,7 @@ def _read_file(path: Path, config: MotionConfig) -> tuple[dict[str, Any], Motion
 
 
 def _parse_motive(text: str, config: MotionConfig) -> tuple[dict[str, Any], MotionConfig]:
-    """Return times and poses (T, 7) by name from a CSV file of Motive 1.2 to 1.25, and `config` with its units."""
+    """Return times and poses (T, 7) by name from Motive's CSV formats 1.2 to 1.25, and `config` with its units."""
     lines = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip(", ")]
     rows = list(csv.reader(line for _, line in lines))
     settings = dict(zip(rows[0][::2], rows[0][1::2], strict=False))

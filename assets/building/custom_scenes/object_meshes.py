@@ -40,7 +40,7 @@ class MeshConfig:
         density: Density (kg/m^3) if no mass is given; default: 300, a half-filled plastic bottle.
         friction: Lateral friction coefficient; HandoverSim's objects have 0.9.
         color: Color in images, a name of the library's palette.
-        concavity: CoACD's threshold: largest concavity of a convex part, 0.01 (many parts) to 1.
+        concavity: Threshold of the convex decomposition with CoACD, 0.01 (many convex parts) to 1 (one).
 
     Raises:
         OptionError: A number is out of range, or both mass and density are given.
@@ -84,7 +84,7 @@ class ObjectMesh:
 
 
 def make_object_mesh(source: Path | trimesh.Trimesh, config: MeshConfig) -> ObjectMesh:
-    """Read a mesh with trimesh, repair it and divide it into convex parts; `DataFormatError` if it is no solid body."""
+    """Read a mesh, repair it and divide it into convex parts; raise `DataFormatError` if it is no solid body."""
     require_modules("an own object", "assets,import", "coacd", "trimesh")
     name = str(source) if isinstance(source, Path) else "the mesh"
     mesh, repairs = _repair_mesh(_read_mesh(source), config, name)

@@ -4,8 +4,8 @@ The motion of scene N is in `motion/00000N.npz`, in the world frame at 1 kHz:
 
 - `object_dof` (T, n, 6): positions (m) and intrinsic XYZ Euler angles (rad) of the objects, the handed-over object
   first.
-- `hand_dof` (T, 51): position (m) and Euler angles (rad) of the hand's base, then 45 finger joint angles (rad);
-  zeros without a hand.
+- `hand_dof` (T, 51): position (m) and intrinsic XYZ Euler angles (rad) of the hand's base, then 45 finger joint angles
+  (rad); zeros in rows without a hand.
 - `hand_span` (2,): first and last row of `hand_dof` in which the hand is present; -1 and -1 without a hand.
 """
 
@@ -44,7 +44,7 @@ def get_motion_path(folder: Path, scene_id: int) -> Path:
 class CustomDataset(Dataset):
     """Data set of the custom scenes in a folder, see `handover_marl.datasets.custom.scene_file`.
 
-    The setups are "all", in which each split has every scene, and the setups in `scenes.json`. `robot`: see `Dataset`.
+    The setups are "all", in which each split has every scene, and those in `scenes.json`. For `robot` see `Dataset`.
 
     Attributes:
         folder: Path of the folder.
@@ -88,7 +88,7 @@ class CustomDataset(Dataset):
         return SceneInfo(scene_id, scene.name, scene.side, ids, scene.objects)
 
     def load_scene(self, scene_id: int) -> Scene:
-        """Load a scene with its motion in the world frame."""
+        """Load a scene with its motion; raise `SceneError`, `DataNotFoundError` or `DataFormatError` if that fails."""
         info = self.load_info(scene_id)
         path, has_hand = get_motion_path(self.folder, scene_id), self.content.scenes[scene_id].hand is not None
         shapes = {"object_dof": (len(info.object_ids), OBJECT_DOF), "hand_dof": (HAND_DOF,)}
@@ -132,7 +132,7 @@ class CustomDataset(Dataset):
         return digest.hexdigest()[:16]
 
     def _find_scene_assets(self, info: SceneInfo) -> SceneAssets:
-        # A scene without a hand never shows it.
+        # A scene without a hand needs a model too, which is never shown.
         hand = self.content.scenes[info.scene_id].hand or 1
         return self.find_assets(info, find_hand_urdf(hand, "left" if info.side == "left" else "right"))
 

@@ -35,10 +35,10 @@ _FRAME_ADVICE = "check frame: 'world' has its origin 0.92 m below the table's su
 
 
 def check_objects(objects: Float32, bodies: Mapping[str, Array]) -> None:
-    """Raise `DataFormatError` if the objects' motion has a wrong duration, jumps, is far away, or is below the table.
+    """Raise `DataFormatError` if an object's motion has a wrong duration, jumps, is far away or starts below the table.
 
-    `objects` (T, n, 6) has positions (m) and intrinsic XYZ Euler angles (rad) in the world at 1 kHz. `bodies` has the
-    n objects' vertices (v, 3) in their own frames (m) by name, the handed-over one first; it must end in robot reach.
+    `objects` (T, n, 6) has positions (m) and intrinsic XYZ Euler angles (rad) in the world at 1 kHz. `bodies` has by
+    name the objects' vertices (v, 3) in own frame (m). The first is handed over and must end above the table, in reach.
     """
     low, high = DURATION
     if not low <= (len(objects) - 1) / 1000.0 <= high + 1e-3:

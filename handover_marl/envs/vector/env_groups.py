@@ -133,9 +133,9 @@ class ThreadedEnvGroup:
 class ProcessEnvGroup:
     """Environments of one configuration in a process of their own; see `EnvGroup`.
 
-    Threads of one process run at the same time only while MuJoCo simulates; processes always do. The process starts at
-    once. The first call waits for the process, and raises the errors of `make`. Calls must not be interrupted, so that
-    each answer belongs to its call; `ThreadedEnvGroup` calls from a thread, in which no signals are handled.
+    Processes run side by side; threads do so only while MuJoCo simulates. The process starts at once; the first call
+    waits for it, and raises the errors of `make`. An interrupted call would leave its answer to the next one, so calls
+    come from the threads of a `ThreadedEnvGroup`, in which no signals are handled.
 
     Args:
         make: Function that makes the environments, given their number; must be picklable by value.

@@ -21,7 +21,7 @@ from handover_marl.execution.files import shorten_text
 from handover_marl.execution.options import require_modules
 
 _VIDEO, _STATE, _ENVIRONMENT_STATE = "observation.images.wrist", "observation.state", "observation.environment_state"
-# Columns whose names LeRobot's policies expect, and shorter ones; others are "observation." and their key.
+# Columns with the names that LeRobot's policies expect, or with short ones; others are "observation." and the key.
 _RENAMED = {
     "robot_joint_position": _STATE,
     "robot_joint_velocity": "observation.joint_velocity",

@@ -34,7 +34,7 @@ from handover_marl.execution.reading import read_arrays, read_plain_file, report
 from handover_marl.simulation.camera.optics import CameraInfo, make_camera_info
 from handover_marl.version import __version__
 
-# Values of the metadata, and values in place of unknown ones.
+# Keys of the metadata, and values in place of unknown ones, by key.
 _METADATA_KEYS = (
     *("scene_id", "object_name", "subject", "side", "outcome", "status", "steps", "release_step", "receiver", "giver"),
     *("physics", "dataset", "robot", "seed", "models", "fingerprint", "version"),
@@ -94,9 +94,9 @@ class Demonstration:
 def hold_actions(
     decisions: Sequence[tuple[int, npt.NDArray[np.float32]]], steps: npt.NDArray[np.int64]
 ) -> npt.NDArray[np.float32]:
-    """Return the actions (T, n) in effect from physics steps (T,) on (zero-order hold).
+    """Return the actions (T, n) in effect at each of the physics `steps` (T,) (zero-order hold).
 
-    `decisions` has the physics step and action of each decision, in order; the first is at step 0.
+    `decisions` has the physics step and action (n,) of each decision, in order; the first is at step 0.
     """
     starts = [step for step, _ in decisions]
     last = np.searchsorted(starts, steps, side="right") - 1
@@ -176,7 +176,7 @@ class Demonstrations:
         self._paths = list(find_numbered(path.parent, ".npz").values())
 
     def camera_info(self) -> dict[str, CameraInfo]:
-        """Return size, intrinsics K (3, 3) and pose (4, 4) of each recorded camera by name."""
+        """Return size, intrinsics (3, 3) and pose (4, 4) of each recorded camera by name, see `CameraInfo`."""
         return {camera.name: make_camera_info(camera) for camera in self._cameras}
 
     def __len__(self) -> int:

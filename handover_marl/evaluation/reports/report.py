@@ -258,10 +258,10 @@ def _format_published_row(row: PublishedResult) -> list[object]:
 
 
 def load_report(folder: str | os.PathLike[str]) -> Report:
-    """Compute the metrics of an official result folder, of this library or of HandoverSim, or of an episode file.
+    """Compute the report of a result folder, written by this library or by HandoverSim, or of a file of outcomes.
 
     Args:
-        folder: Result folder, or a file of `docs/results/data/episodes`; nothing is changed.
+        folder: Result folder, or a file of outcomes from `docs/results/data/episodes`; nothing is changed.
 
     Raises:
         ResultsError: The path does not exist, or a file is not an official result.
@@ -309,7 +309,7 @@ def _add_scene_info(path: Path, metadata: ResultMetadata, results: Iterable[Epis
 
     A result of another scene than its index determines raises `ResultsError`.
     """
-    # In s2 the index of a scene depends on the hand used; scenes of other data only their data set knows.
+    # In s2 the index of a scene depends on the hand that gives; of other data, only the data set knows the scenes.
     if metadata.setup not in SETUPS or metadata.setup == "s2" or metadata.dataset not in _OFFICIAL_SCENES:
         yield from results
         return

@@ -334,7 +334,7 @@ def _apply_jackknife(
     """Return the value of `compute` for the methods' scores, its standard error, and Student's 97.5 % quantile."""
     shape = methods[0].shape
     everywhere = range(len(methods))
-    # Which arrays vary together, along which axis, and the index sets that are left out one at a time.
+    # For each variance: the arrays that change together, their axis, and the index sets that are left out in turn.
     variations: list[tuple[Sequence[int], int, list[list[int]]]] = [(everywhere, 2, _group(range(shape[2])))]
     variations += [([number], 0, _group(range(len(method)))) for number, method in enumerate(methods)]
     if families is not None:

@@ -37,8 +37,8 @@ def export_policy(
         features: Name of the features that are the inputs, or `module:name`; default: as in training.
         action_scheme: Name of the action scheme that decodes the outputs, or `module:name`; default: as in training.
         control_period: Time between two decisions (s); default: as in training if that is recorded, else 0.1 s.
-        normalization: Normalization of the inputs: a `VecNormalize` of Stable-Baselines3 or an
-            `InputNormalization`; default: the normalization in the model's environment, or none.
+        normalization: Normalization of the inputs: an `InputNormalization` or, for a model of Stable-Baselines3, a
+            `VecNormalize`; default: the normalization in the model's environment, or none.
         origin: Description of the training, for human readers.
 
     Models of Stable-Baselines3 record agent, features, action scheme and control period. For a PyTorch

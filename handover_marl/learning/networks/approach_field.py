@@ -23,8 +23,8 @@ MAX_TRANSLATION, MAX_ROTATION = 0.06, np.pi / 6.0
 # Smallest value to which the remaining decisions reduce the largest translation, and distance from the target below
 # which they do not reduce it (m).
 _MIN_TRANSLATION, _NEAR_DISTANCE = 0.02, 0.1
-# Distance of the standoff from the grasp, back along the z axis of the hand at the grasp, and range of distances beyond
-# it in which the hand may start to move in to the grasp (m).
+# Distance of the standoff from the grasp, back along the z axis of the hand at the grasp, and width of the range of
+# distances, from half this width beyond the standoff on, over which the target changes from grasp to standoff (m).
 STANDOFF, _STANDOFF_BAND = 0.055, 0.02
 # The error of a hand pose is the distance of the middle between the pads from this axis, plus the weighted angle to the
 # orientation at the grasp (m/rad). The hand moves in up to the first error, moves to the standoff from the second

@@ -52,7 +52,7 @@ class ActorOutput(NamedTuple):
 
 
 class PolicyHead(nn.Module):
-    """Head of the actors of GA-DDPG and handover-sim2real: two hidden layers, action and goal.
+    """Head of GA-DDPG's actor: two hidden layers, then outputs for the action and the grasp pose.
 
     Layers are named as in GA-DDPG's code, so that the original weights can be loaded, and
     initialized by Xavier's method. `log_std_linear`, the deviation of the action, is not evaluated.
@@ -93,7 +93,7 @@ class GaddpgNetwork(SavedNetwork):
     Args:
         spare_steps: Number of decisions that should be left at the predicted grasp, to which the hand moves by
             `compute_approach_steps`; None executes the predicted action instead.
-        max_steps: Number of decisions of an approach; None leaves it to the receiver.
+        max_steps: Largest number of decisions of an approach; None leaves it to the receiver.
 
     Attributes:
         features: Encoder of clouds with channels xyz in the hand link's frame (m) and a zero.

@@ -94,7 +94,7 @@ class PointSegmentationNetwork(nn.Module):
         """Return the logits (B, N, n_classes) of the points of B clouds.
 
         Args:
-            points: (B, N, 3) points in a frame with the world's z axis (m), in random order.
+            points: (B, N, 3) points in a frame whose z coordinate is the height in the world (m), in random order.
             margins: (B, N) differences of the logits of hand and object in the image; 0 if unknown.
             hand_link: (B, 3) position of the robot's hand link in the same frame (m).
         """

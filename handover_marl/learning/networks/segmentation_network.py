@@ -1,7 +1,7 @@
 """Network that segments images of the wrist camera into object, person's hand, other objects and the rest.
 
-A small U-Net (Ronneberger et al., MICCAI 2015) that computes on blocks of 4 x 4 pixels, which takes a tenth of the time
-of one that computes on pixels, and a second network for the points at which it finds the object or the hand.
+The first part is a small U-Net (Ronneberger et al., MICCAI 2015) on blocks of 4 x 4 pixels, which takes a tenth of the
+time of one on pixels. The second part classifies the points at which the first finds the object or the hand.
 """
 
 import torch
@@ -16,7 +16,7 @@ N_CLASSES = 4
 _BLOCK = 4  # side of a block (pixels)
 _WIDTHS = (24, 40, 64, 96)  # channels at resolutions of 1/4, 1/8, 1/16 and 1/32
 _N_INPUTS = 5
-# Height of the middle of heights in the world, and factor of heights and depths (m, 1/m).
+# Middle of the range of heights in the world (m), and factor of heights and depths (1/m).
 _MIDDLE_HEIGHT, _SCALE = 1.1, 2.0
 
 

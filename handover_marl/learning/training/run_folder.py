@@ -42,7 +42,7 @@ def spawn_seeds(count: int, *entropy: int) -> list[int]:
 
 
 def describe_origin(script: str, arguments: object, *omitted: str) -> str:
-    """Return "experiments/training/SCRIPT.py name=value, ..." without paths, `resume` and the `omitted` arguments."""
+    """Return "experiments/training/SCRIPT.py name=value, ..." without out, data_dir, resume and the names `omitted`."""
     left_out = (*_UNRECORDED_ARGUMENTS, *omitted)
     parts = [f"{key}={value!r}" for key, value in vars(arguments).items() if key not in left_out]
     return f"experiments/training/{script}.py {', '.join(parts)}"

@@ -6,7 +6,7 @@ place of a person's hand occludes some objects partly; grasps keep clear of the 
 
 The expert considers the cheapest grasps that the arm reaches both by inverse kinematics with many iterations and by the
 stepwise control of the receiver `gaddpg`, which stalls near singular postures. The planner `omg` (Wang et al., RSS
-2020) chooses among the best ones and plans a trajectory of waypoints 0.15 s apart.
+2020) chooses among the best ones and plans a trajectory with one waypoint per decision (0.15 s).
 """
 
 from collections.abc import Sequence
@@ -51,7 +51,7 @@ _TABLE_RANGE = 0.12
 _START_POSE_SHARE, _JOINT_STD = 0.6, 0.04
 # Smallest and largest distance of the robot's hand from the object at a random pose (m).
 _MIN_DISTANCE, _MAX_DISTANCE = 0.2, 0.5
-# Largest distance along each axis of the point at which the camera aims from the object's origin (m).
+# Largest distance, along each axis, from the object's origin to the point at which the camera aims (m).
 _AIM_ERROR = 0.05
 # Share of scenarios in which a sphere occludes the object partly, and its smallest and largest radius (m).
 _OCCLUDED_SHARE, _OCCLUDER_RADII = 0.5, (0.03, 0.07)
@@ -170,7 +170,7 @@ class ImitationScenarios:
     def _sample_viewing_pose(self, target: Array, rng: np.random.Generator) -> Array:
         """Return a random, nearly upright world pose (7,) of the hand link, whose camera aims near a position (3,)."""
         direction = rng.standard_normal(3)
-        # On the side of the robot's base, 11 degrees above the horizontal.
+        # In the half-space on the side of the robot's base whose normal points 11 degrees above the horizontal.
         to_base = self._base - target
         to_base[2] = 0.2 * np.linalg.norm(to_base[:2])
         if direction @ to_base < 0.0:

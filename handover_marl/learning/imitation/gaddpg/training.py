@@ -23,8 +23,8 @@ from handover_marl.receivers.gaddpg import GRIPPER_POINTS
 # Standard deviations of the augmentation, a change of the hand's pose: displacement along each axis (m) and rotation
 # about each axis (rad). The point cloud still shows what was visible from the stored pose.
 _POSITION_STD, _ROTATION_STD = 0.012, 0.05
-# Largest random change of the number of remaining decisions, with which the expert's step changes, and the largest
-# number after the change.
+# Largest random change of the number of remaining decisions, which is an input of the network, and the largest number
+# after the change.
 _COUNTER_RANGE, _MAX_REMAINING = 6, 20
 # Largest learning rate of the point cloud encoder; `learning_rate` is that of the layers after it.
 _ENCODER_RATE = 1e-3

@@ -1,6 +1,6 @@
 """Rendered images and point clouds with classes, and the training of the segmentation network of `vision`.
 
-Frames come from recordings, and arm poses are on random ways to the object. Camera errors, colors, light and depth
+Frames come from recordings, and arm poses are on random paths to the object. Camera errors, colors, light and depth
 noise are random in every image. The clouds, for the part of the network that separates the points of object and hand,
 come from the images in which the image network finds object or hand. The module needs the extra `train`.
 """
@@ -40,7 +40,7 @@ Array = npt.NDArray[np.float64]
 Float32 = npt.NDArray[np.float32]
 Rng = np.random.Generator
 
-# Deviations of the cameras, about twice those of the camera noise "imperfect", and noise of every second image.
+# Deviations of the cameras, about twice those of the camera noise "imperfect", and more noise for half of the images.
 _RANDOMIZATION = CameraRandomization(
     color=0.3, brightness=0.3, position=0.02, rotation=0.07, focal=0.02, principal=4.0, depth_noise_std=0.004
 )
@@ -48,7 +48,7 @@ _NOISE = CameraNoise(depth_noise_std=0.001, latency=0.0)
 # Share of images of the last frame, in which the object is held out.
 _LAST_FRAME_SHARE = 0.4
 # Standard deviations of arm joints at a waiting pose (rad), of the direction to the object, and of the rotation about
-# it (rad); distances of the hand link from the object (m); share of images that are taken at the end of a way.
+# it (rad); distances of the hand link from the object (m); share of images that are taken at the end of a path.
 _JOINT_STD, _DIRECTION_STD, _ROLL_STD, _DISTANCES, _END_SHARE = 0.15, 0.35, 1.0, (0.08, 0.6), 0.3
 # Label of pixels without a depth, which have no class.
 _IGNORED = 255
@@ -57,7 +57,7 @@ _SECTION, _ANYWHERE_SHARE = 128, 0.25
 # Number of points of a cloud in memory, and of those from which the vertical is computed.
 _N_KEPT, _N_VERTICAL = 768, 400
 # Augmentation of clouds: largest relative change of the size; standard deviations of a tilt (rad) and of the
-# differences of logits; largest noise of points (m); share of clouds without differences of logits.
+# differences of logits; largest one of noise on points (m); share of clouds without differences of logits.
 _SCALE, _TILT_STD, _MARGIN_STD, _MAX_NOISE, _UNKNOWN_SHARE = 0.07, 0.05, 0.7, 0.001, 0.3
 _N_EVALUATED = 32
 
@@ -66,7 +66,7 @@ class SegmentationViews(NamedTuple):
     """Arrays of n images of h x w pixels.
 
     Attributes:
-        rgb: (n, h, w, 3) colors.
+        rgb: (n, h, w, 3) red, green and blue from 0 to 255.
         depth: (n, h, w) depth along the viewing axis (m).
         height: (n, h, w) heights in the world of the pixels' points, for a camera without errors (m).
         classes: (n, h, w) classes of `SegmentationNetwork`, or 255 for pixels without a depth.
@@ -82,7 +82,7 @@ class SegmentationRenderer(RecordedViewRenderer):
     """Renderer of images of recorded scenes with their segmentation."""
 
     def render_scene(self, number: int) -> SegmentationViews:
-        """Return random images of the scene with a number."""
+        """Return random images of the scene with the number `number`."""
         rng, scene = np.random.default_rng((self._seed, number)), self._data.load_scene(number)
         camera = RayCamera(scene.assets, self._context.config.physics)
         views = [self._render_view(scene, camera, rng) for _ in range(self._count)]
@@ -139,7 +139,7 @@ class BodyClouds(NamedTuple):
     """Clouds of n points in each of v views, as inputs of `PointSegmentationNetwork`.
 
     Attributes:
-        points: (v, n, 3) points in a frame with the world's z axis (m).
+        points: (v, n, 3) points in a frame whose z coordinate is the height in the world (m).
         margins: (v, n) differences of the logits of hand and object.
         hand_links: (v, 3) positions of the hand link in that frame (m).
         classes: (v, n) classes of the points.
@@ -179,9 +179,9 @@ def collect_clouds(network: SegmentationNetwork, views: SegmentationViews, rng: 
 def _fit_vertical(
     points: Float32, heights: npt.NDArray[np.floating], rows: npt.NDArray[np.int64]
 ) -> tuple[Array, Array]:
-    """Return the rotation (3, 3) to a frame with the world's z axis, and the position (3,) of the origin in it.
+    """Return rotation (3, 3) and translation (3,) (m) from the points' frame to one whose z is the height in the world.
 
-    Points (n, 3) with the indices `rows` determine them, by their heights (n,) in the world.
+    They are fitted to the heights (n,) in the world of the points (n, 3) with the indices `rows` (m).
     """
     equations = np.column_stack([points[rows], np.ones(len(rows))])
     *vertical, height = np.linalg.lstsq(equations, heights[rows].astype(np.float64), rcond=None)[0]
@@ -200,7 +200,7 @@ class LabelledBatches(Batches):
 
     @abstractmethod
     def augment(self, number: int, rng: Rng) -> Sequence[npt.NDArray[Any]]:
-        """Return the fields of an augmented part of the image or cloud with a number."""
+        """Return the fields of an augmented part of the image or cloud with the index `number`."""
 
     def sample(self, count: int, rng: Rng) -> Batch:
         """Return a batch of `count` augmented parts of random images or clouds."""
@@ -208,7 +208,7 @@ class LabelledBatches(Batches):
         return tuple(torch.from_numpy(np.stack(part)) for part in zip(*rows, strict=True))
 
     def select(self, numbers: npt.NDArray[np.integer]) -> Batch:
-        """Return the images or clouds with the given numbers (B,)."""
+        """Return the images or clouds with the indices `numbers` (B,)."""
         return tuple(torch.from_numpy(part[numbers]) for part in self._samples)
 
 
@@ -247,7 +247,7 @@ class PointBatches(LabelledBatches):
         )
 
     def select(self, numbers: npt.NDArray[np.integer]) -> Batch:
-        """Return the first 256 points of the clouds with the given numbers (B,)."""
+        """Return the first 256 points of the clouds with the indices `numbers` (B,)."""
         points, margins, hand_links, classes = super().select(numbers)
         return points[:, :N_BODY_POINTS], margins[:, :N_BODY_POINTS], hand_links, classes[:, :N_BODY_POINTS]
 

@@ -1,8 +1,8 @@
 """Rendered views of objects in persons' hands with good grasps: training data of `vision`.
 
 Frames come from recordings. The camera is where receivers wait, or on the way to a grasp with random offsets. Views are
-ray cast without physics. The quality of a grasp follows from the grasp cost of the receiver `reactive` without the
-terms that depend on the arm: whether the grasp held in simulation, how well the pads enclose the object, and the
+ray cast without physics. The quality of a grasp follows from the terms of the grasp cost of the receiver `reactive`
+that do not depend on the arm: whether the grasp held in simulation, how well the pads enclose the object, and the
 clearance to the hand. Next to a hand, offset copies of the grasps are candidates too. Quaternions are xyzw.
 """
 
@@ -56,7 +56,7 @@ _LAST_FRAME_SHARE, _BEFORE_PICKUP_SHARE = 0.5, 0.05
 # Shares of views for which the arm is near one of its two waiting poses, and for which it is between a waiting pose
 # and a pose before a grasp; for the rest it is at a random pose before a grasp.
 _WAITING_POSE_SHARE, _BETWEEN_SHARE = 0.1, 0.25
-# Largest distance of a pose before a grasp from it, back along the hand's z axis (m).
+# Largest distance between a grasp and a pose before it, back along the hand's z axis (m).
 _MAX_DISTANCE = 0.5
 # Root mean square of the length (m) and angle (rad) of the random offset of such a pose at distance 0, and their
 # increase per meter of distance from the grasp.
