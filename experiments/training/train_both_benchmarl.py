@@ -76,4 +76,4 @@ def main(args: PairArgs) -> None:
 
 
 if __name__ == "__main__":
-    run_script(main, PairArgs)
+    run_script(main, PairArgs, __doc__)

@@ -116,4 +116,4 @@ def main(args: Args) -> Path:
 
 
 if __name__ == "__main__":
-    print(run_script(main, Args))
+    print(run_script(main, Args, __doc__))

@@ -389,4 +389,4 @@ def main(args: Args) -> Path:
 
 
 if __name__ == "__main__":
-    run_script(main, Args)
+    run_script(main, Args, __doc__)

@@ -114,12 +114,12 @@ class Comparison(TabularResult):
         for column in FLUENCY if known else ():
             values = [(getattr(one, column.key), getattr(other, column.key)) for one, other in known]
             means[column.key] = estimate_mean([float(one - two) for one, two in values if None not in (one, two)])
-        timed = [pair for pair in self.pairs if None not in (pair[0].late_s, pair[1].late_s)]
-        if timed:
-            late = [[each.late_s or 0.0 for each in side] for side in zip(*timed, strict=True)]
-            means[LATE.key] = estimate_mean([one - other for one, other in zip(*late, strict=True)])
-            grabs = ([bool(one.early_grab) for one in side] for side in zip(*timed, strict=True))
-            means[EARLY_GRAB.key] = estimate_paired_difference(*grabs)
+        times = [(one.late_s, two.late_s) for one, two in self.pairs]
+        if late := [one - two for one, two in times if one is not None and two is not None]:
+            means[LATE.key] = estimate_mean(late)
+        grabs = [(one.early_grab, two.early_grab) for one, two in self.pairs]
+        if known_grabs := [(one, two) for one, two in grabs if one is not None and two is not None]:
+            means[EARLY_GRAB.key] = estimate_paired_difference(*map(list, zip(*known_grabs, strict=True)))
         return build_fluency_table(means, " minus ".join(self.names))
 
 

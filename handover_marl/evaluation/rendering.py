@@ -1,5 +1,6 @@
 """Rendering of one scene: image grids, videos and replay pages."""
 
+import contextlib
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -114,7 +115,7 @@ def render_scene(
         for agent, policy in given.items()
     }
     config = set_dataset(replace(config, setup=setup, **policies), dataset)
-    runner, scene = EpisodeRunner(config), dataset.load_scene(scene_id)
+    scene = dataset.load_scene(scene_id)
     if view == "wrist":
         resolve_renderer(config.renderer, config.physics)
     until = scene.n_frames + _STILL_SCENE_DURATION_MS if receiver is None else None
@@ -129,19 +130,19 @@ def render_scene(
         _simulate(runner, scene, until, recorder)
         return recorder.frames
 
-    if suffix == ".html":
-        recorder = ReplayRecorder(runner.receiver)
-        _simulate(runner, scene, until, recorder)
-        facts = format_replay_facts(config, runner.dataset.describe_models(scene_id))
-        content = build_replay_page(recorder, facts, camera).encode()
-    elif suffix == ".png":
-        # Simulated twice: the steps of the key frames are known only after the episode's end.
-        end = _simulate(runner, scene) if until is None else until
-        steps = np.linspace(0, end, key_frames).round().astype(int).tolist()
-        content = encode_grid(record_frames(steps)[:key_frames], _GRID_COLUMNS)
-    else:
-        horizon = until or config.world_config.protocol.horizon_steps
-        content = encode_video(record_frames(range(0, horizon, FRAME_PERIOD_MS)), suffix)
-    runner.close()
+    with contextlib.closing(EpisodeRunner(config)) as runner:
+        if suffix == ".html":
+            recorder = ReplayRecorder(runner.receiver)
+            _simulate(runner, scene, until, recorder)
+            facts = format_replay_facts(config, runner.dataset.describe_models(scene_id))
+            content = build_replay_page(recorder, facts, camera).encode()
+        elif suffix == ".png":
+            # Simulated twice: the steps of the key frames are known only after the episode's end.
+            end = _simulate(runner, scene) if until is None else until
+            steps = np.linspace(0, end, key_frames).round().astype(int).tolist()
+            content = encode_grid(record_frames(steps)[:key_frames], _GRID_COLUMNS)
+        else:
+            horizon = until or config.world_config.protocol.horizon_steps
+            content = encode_video(record_frames(range(0, horizon, FRAME_PERIOD_MS)), suffix)
     write_atomically(path, content)
     return path

@@ -152,7 +152,7 @@ def require_pybullet(feature: str, advice: str) -> None:
 
 def describe_machine() -> str:
     """Return this machine's processor, number of cores and version of Python as text."""
-    return f"{_read_processor_name()}, {os.cpu_count()} cores, Python {platform.python_version()}"
+    return f"{_read_processor_name()}, {count_available_cores()} cores, Python {platform.python_version()}"
 
 
 def _read_processor_name() -> str:

@@ -154,7 +154,9 @@ class OfferFeatures:
         numbers = [10.0 * clearances[nearest[:, :number]].mean(axis=1) for number in _NUMBERS_OF_GRASPS]
         numbers += [free[nearest[:, :number]].mean(axis=1) for number in _NUMBERS_OF_GRASPS]
         numbers += [motions[rows, first], costs[rows, best], 10.0 * clearances[best], motions[rows, best]]
-        chosen = grasps[np.concatenate([first[:, None], order[:, :_N_BEST]], axis=1)]
+        # Of fewer grasps, the last one is repeated.
+        ranks = np.arange(_N_BEST).clip(max=len(grasps) - 1)
+        chosen = grasps[np.concatenate([first[:, None], order[:, ranks]], axis=1)]
         return np.stack([*numbers, hold_costs[best]], axis=1), chosen
 
 

@@ -72,6 +72,7 @@ def list_features(agent: str) -> tuple[str, ...]:
 
 def list_schemes(agent: str) -> tuple[str, ...]:
     """Return the names of the built-in action schemes of an agent, "giver" or "receiver"."""
+    check_name("agent", agent, ("giver", "receiver"))
     return tuple(name for name, scheme in _SCHEMES.items() if scheme.agent == agent)
 
 

@@ -56,6 +56,12 @@ def test_common_scenes_are_paired(tmp_path: Path, capsys: pytest.CaptureFixture[
         assert message in capsys.readouterr().err
 
 
+def test_scenes_in_which_an_early_grab_is_unknown_are_left_out() -> None:
+    episodes = [episode(0, EpisodeStatus.SUCCESS, late_s=0.0, early_grab=grab) for grab in (True, None)]
+    rows = Comparison(*(Report(SETTINGS, (one,)) for one in episodes)).build_tables()[-1].rows
+    assert [str(row[0]) for row in rows] == ["late s"]
+
+
 def test_incomparable_folders_are_refused(tmp_path: Path) -> None:
     one = folder(tmp_path / "one", "mine", {0: 1})
     three = folder(tmp_path / "three", "mine", {0: 1}, split="val")

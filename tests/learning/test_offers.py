@@ -152,10 +152,11 @@ def test_features_have_the_documented_number_and_end_with_the_offer() -> None:
     assert np.abs(offers[1:, :6]).all()
 
 
-def test_objects_without_known_grasps_have_no_features() -> None:
-    features = OfferFeatures(replace(CONTEXT, load_grasps=lambda name: None))
-    offers = draw_offers(np.random.default_rng(0), 2, 0.5)
-    assert features(add_episode_axis(draw_observation(0)), offers) is None
+def test_objects_may_have_few_known_grasps_or_none() -> None:
+    observation, offers = add_episode_axis(draw_observation(0)), draw_offers(np.random.default_rng(0), 2, 0.5)
+    assert OfferFeatures(replace(CONTEXT, load_grasps=lambda name: None))(observation, offers) is None
+    one = OfferFeatures(replace(CONTEXT, load_grasps=lambda name: CONTEXT.load_grasps(name)[:1]))(observation, offers)
+    assert np.shape(one) == (2, N_OFFER_FEATURES)
 
 
 def test_the_score_is_the_probability_of_success_times_the_saved_time() -> None:

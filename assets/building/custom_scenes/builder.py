@@ -291,7 +291,8 @@ def _split_scenes(
     groups = list(dict.fromkeys(keys))
     drawn = [groups[index] for index in np.random.default_rng(seed).permutation(len(groups))]
     home: dict[str, str] = {}
-    for split, chosen in shares.items():
+    # Names of the caller first, so that none of them is drawn for the other split.
+    for split, chosen in sorted(shares.items(), key=lambda item: isinstance(item[1], (int, float))):
         if isinstance(chosen, str):
             raise OptionError(
                 f"{split} must be a share from 0 to 1 or a list of names, got {chosen!r}; pass [{chosen!r}]"

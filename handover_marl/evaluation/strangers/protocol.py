@@ -193,8 +193,9 @@ def make_leaderboard(
         ResultsError: A folder is not a finished evaluation, or the evaluations differ in partners, scenes, data, seed
             or simulation.
     """
-    if not folders:
-        raise OptionError("folders must name at least one folder of handover-marl strangers, got none")
+    if not folders or len(folders) != len(folders if names is None else names):
+        given = f"{len(folders)} folders{'' if names is None else f' and {len(names)} names'}"
+        raise OptionError(f"folders must name folders of handover-marl strangers, all named or none, got {given}")
     found, conditions = load_population(population, trust), dict[object, dict[str, object]]()
     reports: dict[tuple[str, str], StrangersReport] = {}
     for number, folder in enumerate(folders):

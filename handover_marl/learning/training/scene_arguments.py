@@ -21,7 +21,7 @@ _Args = TypeVar("_Args")
 _Result = TypeVar("_Result")
 
 
-def run_script(main: Callable[[_Args], _Result], arguments: type[_Args], description: str | None = None) -> _Result:
+def run_script(main: Callable[[_Args], _Result], arguments: type[_Args], description: str | None) -> _Result:
     """Call a script's function `main` with arguments of the command line; print library errors without a traceback."""
     try:
         return main(tyro.cli(arguments, description=description))

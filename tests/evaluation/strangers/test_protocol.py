@@ -141,7 +141,8 @@ def test_incomplete_folders_are_refused(population: Path, evaluated: Path, tmp_p
         with pytest.raises(error, match=message):
             make_leaderboard(folders, **{"population": population, **options})
 
-    check(OptionError, "at least one folder")
+    check(OptionError, "got 0 folders")
+    check(OptionError, "got 1 folders and 2 names", evaluated, names=["a", "b"])
     check(OptionError, "must have one evaluation of 'hold' with the split val, got another one", evaluated, out)
     check(OptionError, "must be of population", evaluated, population=write_population(tmp_path, version="2.0"))
     check(ResultsError, "if it was interrupted", tmp_path)

@@ -55,7 +55,7 @@ def test_only_the_same_run_is_resumed(tmp_path: Path) -> None:
 def test_scripts_end_with_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "argv", ["script.py", "--out", "x"])
     with pytest.raises(SystemExit, match=r"^error: unknown out 'x'; valid: y$"):
-        run_script(lambda args: check_name("out", args.out, ["y"]), Args)
+        run_script(lambda args: check_name("out", args.out, ["y"]), Args, None)
 
 
 def test_every_tenth_scene_is_held_out() -> None:

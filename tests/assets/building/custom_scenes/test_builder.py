@@ -166,6 +166,8 @@ def test_splits(scenes: CustomSceneFolder) -> None:
     drawn = scenes.add_split("drawn", "random", val=0.34, test=0.34, seed=3)
     assert drawn == scenes.add_split("drawn", "random", val=0.34, test=0.34, seed=3)
     assert sorted(number for numbers in drawn.values() for number in numbers) == [0, 1, 2]
+    for name in "012":
+        assert scenes.add_split("named", "random", val=0.34, test=[name], seed=3)["test"] == (int(name),)
     for name, options, message in (
         ("s0", {"by": "random"}, "name must not be one of s0, "),
         ("a", {"by": "person", "val": ["carl"]}, "unknown person 'carl'; valid: anna, ben"),
