@@ -199,8 +199,7 @@ def _check_size(name: str, size: object, unit: str = "") -> int:
     """Check a declared number of features or outputs, and return it; `name` and `unit` are for errors."""
     if size is None:
         raise OptionError(
-            f"{name} must declare the number of {unit}; add the class attribute size, or @declare_size(n) above a "
-            "function"
+            f"{name} must declare the number of {unit}; add the attribute size, or @declare_size(n) above a function"
         )
     if isinstance(size, bool) or not isinstance(size, int) or size < 1:
         raise OptionError(f"size of {name} must be an integer of at least 1, got {size!r}")
@@ -214,16 +213,18 @@ def _get_name(choice: object) -> str:
 
 
 def _make_instances(kind: str, agent: str, choice: Any, context: PolicyContext, count: int) -> list[Any]:
-    """Return `count` instances of a class; or a function `count` times, as deep copies if it has a method `reset`."""
+    """Return `count` instances of a class; or a function `count` times, or deep copies of an object with a `reset`."""
     label, declared = f"{kind} {_get_name(choice)!r}", getattr(choice, "agent", None)
     if isinstance(declared, str) and declared != agent:
         raise OptionError(f"{label} must be for the {agent}, got some for the {declared}; change its attribute agent")
-    if not isinstance(choice, type):
-        return [copy.deepcopy(choice) if hasattr(choice, "reset") else choice for _ in range(count)]
+    if inspect.isfunction(choice) and hasattr(choice, "reset"):
+        raise OptionError(f"{label} with a reset must be a class, got a function; write a class")
     if inspect.isabstract(choice):
         missing = ", ".join(sorted(choice.__abstractmethods__))  # type: ignore[attr-defined]
         raise OptionError(f"{label} must define {missing}; add the missing methods")
     try:
+        if not isinstance(choice, type):
+            return [copy.deepcopy(choice) if hasattr(choice, "reset") else choice for _ in range(count)]
         given = (context,) if "context" in inspect.signature(choice).parameters else ()
         return [choice(*given) for _ in range(count)]
     except Exception as error:  # code of the user
@@ -235,8 +236,7 @@ def _check_vector(label: str, values: Any, size: int) -> Vector:
     if type(values) is not np.ndarray or values.shape != (size,) or values.dtype != np.float32:
         got = f"{values.dtype} {values.shape}" if isinstance(values, np.ndarray) else type(values).__name__
         raise EncodingError(
-            f"{label} must be a float32 array of shape {(size,)}, got {got}; convert with numpy.asarray(values, "
-            "dtype=numpy.float32), or declare another size"
+            f"{label} must be a float32 array of shape {(size,)}, got {got}; convert it, or declare another size"
         )
     if not np.isfinite(values).all():
         bad = int(np.argmin(np.isfinite(values)))

@@ -154,8 +154,7 @@ class ImitationLearner(ABC, Generic[Network, Batch]):
         epsilon: Number that AdamW adds to denominators.
         max_gradient_norm: Largest norm of the gradient; longer gradients are scaled down.
         averaging: Decay of the exponential average of the weights; with 0 the weights are not averaged.
-        use_bfloat16: Whether matrix products are computed in bfloat16.
-        updates: Number of updates of the whole training.
+        use_bfloat16: Whether matrix products are computed in bfloat16; not on processors that emulate it, slowly.
         n_updates: Number of updates so far.
         averaged_network: Network with the averaged weights, for use after training.
     """
@@ -165,6 +164,7 @@ class ImitationLearner(ABC, Generic[Network, Batch]):
 
     def __init__(self, network: Network, updates: int, device: torch.device) -> None:
         self.updates, self._device = updates, device
+        self.use_bfloat16 &= device.type != "cpu" or torch.backends.cpu.get_cpu_capability().startswith("AVX512")
         self._network = network.to(device)
         self._averages = AveragedModel(self._network, avg_fn=self._average, use_buffers=True)
         self.averaged_network: Network = self._averages.module.eval()  # type: ignore[assignment]

@@ -146,12 +146,12 @@ class GraspNetwork(SavedNetwork):
         with torch.no_grad():
             distances = torch.cdist(centers, positions).masked_fill(~mask[:, None], torch.inf)
             near = distances.topk(max(_GROUP_SIZES), dim=-1, largest=False).indices
-        batch, features = torch.arange(len(points), device=points.device)[:, None, None], []
+        near, features = near + positions.shape[1] * torch.arange(len(points), device=near.device)[:, None, None], []
         for count, inner, outer in zip(_GROUP_SIZES, self.inner, self.outer, strict=True):
             # Invalid points are never among the nearest, since the object has more points than a group.
-            members = (inner(points) + outer(_NEAR_SCALE * positions))[batch, near[..., :count]]
-            pooled = members.max(dim=2).values
-            features.append(func.relu(pooled - outer(_NEAR_SCALE * centers)))
+            members = (inner(points) + outer(_NEAR_SCALE * positions)).flatten(0, 1)
+            pooled = func.embedding_bag(near[..., :count].reshape(-1, count), members, mode="max")
+            features.append(func.relu(pooled.view(*centers.shape[:2], -1) - outer(_NEAR_SCALE * centers)))
         return features
 
 
