@@ -28,7 +28,7 @@ from handover_marl.simulation.engines import FAST
 
 _EXECUTION, _VAL_PAIR, _VAL_SCENES = ExecutionArguments(), PairArguments(split="val"), SceneArguments(split="val")
 _STRANGERS, _TABLES = OfficialSceneArguments(physics=FAST), TableArguments()
-_Point = Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")]
+_Point = Annotated[tuple[float, float, float], tyro.conf.arg(metavar="X Y Z")]
 _Policies = Annotated[tuple[str, ...], tyro.conf.arg(metavar="POLICY [POLICY ...]")]
 _OptionalPolicies = Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="POLICY [POLICY ...]")]
 
@@ -117,11 +117,11 @@ def run_render(
     view: Literal["outside", "wrist"] = "outside",
     key_frames: int = 6,
     caption: bool = True,
-    width: int | None = None,
-    height: int | None = None,
-    position: _Point = None,
-    target: _Point = None,
-    vertical_fov: float | None = None,
+    width: int = CameraConfig.width,
+    height: int = CameraConfig.height,
+    position: _Point = CameraConfig.position,
+    target: _Point = CameraConfig.target,
+    vertical_fov: float = CameraConfig.vertical_fov,
     evaluation: RenderArguments = RenderArguments(),
     progress: Progress = True,
     trust: Trust = False,
@@ -137,15 +137,13 @@ def run_render(
         caption: Show the time and the state of the episode (released, contact, goal reached) in images and videos.
         width: Width of the outside camera's image in pixels.
         height: Height of the outside camera's image in pixels.
-        position: Position of the outside camera in the world frame (m); default: 1.95 -0.2 1.75.
-        target: Point in the world frame at the image's center (m); default, except in .html: 0.45 -0.2 1.15.
-        vertical_fov: Vertical field of view of the outside camera (degrees); default, except in .html: 54.
+        position: Position of the outside camera in the world frame (m).
+        target: Point in the world frame at the image's center (m).
+        vertical_fov: Vertical field of view of the outside camera (degrees).
     """
-    given = {"width": width, "height": height, "position": position, "target": target, "vertical_fov": vertical_fov}
-    camera: Any = {name: value for name, value in given.items() if value is not None}
-    options: Any = evaluation.get_fields() | {"receiver": receiver, "progress": progress, "trust": trust}
-    # Without these options, each kind of file has its own default camera.
-    options |= {"camera": CameraConfig(**camera) if camera else None}
+    camera = CameraConfig(width, height, vertical_fov, position=position, target=target)
+    options: Any = {"receiver": receiver, "camera": camera, "progress": progress, "trust": trust}
+    options |= evaluation.get_fields()
     print(render_scene(scene, out, view=view, key_frames=key_frames, caption=caption, **options), flush=True)
 
 

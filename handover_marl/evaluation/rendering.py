@@ -62,7 +62,7 @@ def render_scene(
     receiver: PolicyLike | None = None,
     giver: PolicyLike = REPLAY,
     key_frames: int = 6,
-    camera: CameraConfig | None = None,
+    camera: CameraConfig = CameraConfig(),
     view: str = "outside",
     caption: bool = True,
     **options: Any,
@@ -76,7 +76,7 @@ def render_scene(
         receiver: The robot's policy, as in `benchmark`; None keeps the robot at rest.
         giver: The person's policy, as in `evaluate_pair`.
         key_frames: Number of images of a `.png`, evenly spaced from start to end of the episode.
-        camera: Pose, field of view and image size of the outside camera; default: a view from the side.
+        camera: Pose, field of view and image size of the outside camera.
         view: "outside", or "wrist" for the outside image above colors, depth and segmentation of the wrist camera.
         caption: Whether images and videos show the simulated time and the state of the episode:
             "object touched", "released", "contact", "drop", "timeout" or "goal reached".
@@ -102,8 +102,7 @@ def render_scene(
         require_replay_extra()
         if view != "outside":
             raise OptionError(f"view of a replay (.html) must be 'outside', got {view!r}")
-    if camera is not None:
-        check_config("camera", camera, CameraConfig)
+    check_config("camera", camera, CameraConfig)
     check_boolean("caption", caption)
     check_positive_integer("key_frames", key_frames)
     given: Any = {"receiver": receiver or "hold", "giver": giver}
@@ -121,8 +120,7 @@ def render_scene(
     until = scene.n_frames + _STILL_SCENE_DURATION_MS if receiver is None else None
 
     def draw(episode: Episode) -> Picture:
-        chosen = camera or CameraConfig()
-        picture = draw_wrist_view(episode, chosen) if view == "wrist" else episode.render(chosen)
+        picture = draw_wrist_view(episode, camera) if view == "wrist" else episode.render(camera)
         return draw_caption(picture, format_caption(episode)) if caption else picture
 
     def record_frames(steps: Sequence[int]) -> list[Picture]:

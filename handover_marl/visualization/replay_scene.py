@@ -49,8 +49,6 @@ _FLAT_SHADING_FACES = 300  # meshes with fewer triangles look better with flat s
 _SHOW_AT_ONCE = "<style>canvas{opacity:1!important;animation:appear .3s}@keyframes appear{from{opacity:0}}</style>"
 #: Duration for which the end is shown before the animation starts again (s).
 END_PAUSE_S = 1.5
-# As the default camera of images, but a little nearer.
-_CAMERA = CameraConfig(vertical_fov=42.0, target=(0.5, -0.15, 1.15))
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,10 +75,10 @@ def require_replay_extra() -> None:
     require_modules("a replay (.html)", "replay", "fast_simplification", "trimesh", "viser")
 
 
-def build_replay_page(log: ReplayRecorder, facts: str, camera: CameraConfig | None = None) -> str:
+def build_replay_page(log: ReplayRecorder, facts: str, camera: CameraConfig = CameraConfig()) -> str:
     """Return a self-contained HTML page that replays an episode and shows the text `facts` on data and policies.
 
-    The first view is from `camera`, by default from the side.
+    The first view is from `camera`.
     """
     info, steps = log.scene.info, log.frames[-1].step
     outcome = f"{log.status.label} after {steps * TIME_STEP:.2f} s" if log.status else "the recording alone"
@@ -93,7 +91,7 @@ def build_replay_page(log: ReplayRecorder, facts: str, camera: CameraConfig | No
         facts=facts,
         events=list_events(log),
         key=build_color_legend(log),
-        stage=_build_viser_page(log, camera or _CAMERA),
+        stage=_build_viser_page(log, camera),
     )
 
 

@@ -107,4 +107,4 @@ def test_camera_options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys:
     assert main([*command, *place, "--width", "320", "--no-caption"]) == 0
     assert main(command) == 0
     camera = CameraConfig(width=320, position=(1.0, -0.5, 2.0), target=(0.4, 0.0, 1.1), vertical_fov=30.0)
-    assert [(options["camera"], options["caption"]) for options in calls] == [(camera, False), (None, True)]
+    assert [(options["camera"], options["caption"]) for options in calls] == [(camera, False), (CameraConfig(), True)]
