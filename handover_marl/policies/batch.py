@@ -196,15 +196,9 @@ def make_giver_actions(
     release: float | AnyArray = 0.0,
     arrays: ArrayFactory = NUMPY_ARRAYS,
 ) -> Actions:
-    """Make actions (r, 8) of r givers from their components; see `handover_marl.policies.policy.make_giver_action`.
+    """Make actions (r, 8) of r = `count` givers; see `handover_marl.policies.policy.make_giver_action`.
 
-    Args:
-        count: Number r of givers.
-        rate: Playback rates minus 1, (r,) or one for all.
-        displacement: Set-points (r, 3) of the wrists' displacements, world frame (m), or 0.
-        rotation: Set-points (r, 3) of the rotation vectors about the wrists, world frame (rad), or 0.
-        release: Whether to release the objects, (r,) or one value for all; 1 is yes.
-        arrays: Creator of the array.
+    The values are (r,) or one for all, except displacements and rotations (r, 3) or 0. A release of 1 is yes.
     """
     actions = arrays.zeros((count, GIVER_ACTION_SIZE), "float32")
     actions[:, 0], actions[:, 1:4], actions[:, 4:7], actions[:, 7] = rate, displacement, rotation, release

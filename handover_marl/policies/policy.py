@@ -109,12 +109,14 @@ class Policy(ABC):
             "state+rgbd"; see `handover_marl.episode.spaces.OBS_PARTS`. Images are rendered only when the
             policy acts, and rendering does not count as planning time.
         file_options: Constructor options that name a file or folder; the files are sent to other machines.
+        non_file_values: Values of these options that are names, not files.
     """
 
     agent: ClassVar[str | None] = None
     name: ClassVar[str]
     control_period: ClassVar[float] = 0.1
     file_options: ClassVar[tuple[str, ...]] = ()
+    non_file_values: ClassVar[tuple[str, ...]] = ()
     obs_mode: str = STATE
 
     def __init__(self, context: PolicyContext | None = None) -> None:
@@ -264,13 +266,7 @@ def milliseconds_from_wait(wait: float) -> int:
 
 
 def check_policy_class(agent: str, policy_class: Any, name: str) -> None:
-    """Check that an object is a complete policy class for an agent; raise OptionError otherwise.
-
-    Args:
-        agent: "giver" or "receiver".
-        policy_class: Object to check.
-        name: Name of the policy for error messages.
-    """
+    """Raise OptionError unless `policy_class` is a complete policy class for an agent; `name` is for messages."""
     is_policy = isinstance(policy_class, type) and issubclass(policy_class, Policy)
     if not is_policy or policy_class.agent not in (agent, None):
         base = f"handover_marl.{agent}s.{agent.capitalize()}"
@@ -307,12 +303,7 @@ def get_parameters(policy_class: type) -> dict[str, inspect.Parameter]:
 
 
 def require_reset(part: _Part | None, receiver_name: str) -> _Part:
-    """Return a part that a receiver's `reset` creates; raise a `ResetNeededError` if the part is None.
-
-    Args:
-        part: The part, None before the first reset.
-        receiver_name: Name of the receiver, for the error.
-    """
+    """Return a part that the `reset` of a receiver creates; raise a `ResetNeededError` if the part is None."""
     if part is None:
         raise ResetNeededError(f"receiver {receiver_name!r} cannot act before reset(); call reset() first")
     return part

@@ -156,8 +156,7 @@ def format_population(
 
 def list_populations() -> tuple[str, ...]:
     """List the names of the shipped populations."""
-    files = POPULATION_FOLDER.glob(f"*{_SUFFIX}")
-    return tuple(sorted(file.stem for file in files))
+    return tuple(sorted(file.stem for file in POPULATION_FOLDER.glob(f"*{_SUFFIX}")))
 
 
 def _find_path(population: str | os.PathLike[str]) -> Path:
@@ -199,6 +198,7 @@ class PopulationPolicy(Policy):
 
     name = "population"
     file_options = ("population",)
+    non_file_values = list_populations()
 
     def __init__(
         self,
@@ -213,10 +213,13 @@ class PopulationPolicy(Policy):
         self._content_hash = found.content_hash
         chosen = found.select(agent, partners)
         references = [parse_policy(agent, found.get_policy(partner), trust) for partner in chosen]
-        self._references = [one for one in references if one.policy_class.obs_mode == STATE]
-        if not self._references:
+        # A class with a camera is not constructed, because it may need an extra; a policy file states its own mode.
+        state_only = [one for one in references if one.policy_class.obs_mode == STATE]
+        made = [(one, one.make_from_context(context)) for one in state_only]
+        self._references = [one for one, member in made if member.obs_mode == STATE]
+        self.members = [member for _, member in made if member.obs_mode == STATE]
+        if not self.members:
             raise OptionError(f"population must have {agent}s that act on the state, got none in {population!r}")
-        self.members = [self.make_member(number) for number in range(len(self._references))]
         self._member = self.members[0]
 
     @property

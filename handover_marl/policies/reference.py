@@ -131,12 +131,7 @@ class PolicyReference:
     ) -> "PolicyReference":
         """Return a copy of this reference in which label, code hash, wait and observation mode are set.
 
-        The policy is constructed once, so that errors of its constructor show early.
-
-        Args:
-            dataset: Robot model, objects and grasps for the policy.
-            config: World and rules for the policy.
-            setup: Setup of the scenes; default: the first of the dataset.
+        The policy is constructed once, so that errors of its constructor show early. Arguments are those of `make`.
         """
         policy = self.make(dataset, config, setup)
         try:
@@ -147,7 +142,8 @@ class PolicyReference:
             what = f"attributes of {self.agent} {self.name!r}"
             raise PolicyError(f"{what} cannot be read ({type(error).__name__}: {error})") from error
         parse_obs_mode(obs_mode)
-        listed = ",".join(f"{key}={value if isinstance(value, str) else repr(value)}" for key, value in self.options)
+        texts = (str, os.PathLike)
+        listed = ",".join(f"{key}={value if isinstance(value, texts) else repr(value)}" for key, value in self.options)
         for name, text in (("label", label), ("weights_hash", weights), ("label", f"{label}:{listed}")):
             # Labels are printed and written to files.
             if not isinstance(text, str) or not text.isprintable() or len(text) > _MAX_TEXT:
@@ -176,7 +172,7 @@ class PolicyReference:
         named = [] if self.file is None else [("", Path(self.file))]
         for option, value in self.options:
             if option in self.policy_class.file_options and isinstance(value, (str, os.PathLike)):
-                named.append((option, Path(value)))
+                named += [(option, Path(value))] if value not in self.policy_class.non_file_values else []
         found = []
         for option, path in ((option, path.expanduser()) for option, path in named):
             files = sorted(path.rglob("*")) if path.is_dir() else [path] if path.exists() or not option else []

@@ -43,6 +43,7 @@ class VisionReceiver(ControllerReceiver):
 
     name = "vision"
     file_options = ("weights", "masks")
+    non_file_values = (PERFECT, PREDICTED)
     obs_mode = SCENE_POINTCLOUD
 
     def __init__(

@@ -11,7 +11,7 @@ from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import ActionRecorder, run_episode
 from handover_marl.errors import OptionError, UnknownNameError
-from handover_marl.givers import Giver, PolicyContext, make_policy_context
+from handover_marl.givers import Giver, make_policy_context
 from handover_marl.givers.variations import ReplayGiver
 from handover_marl.policies.policy import override_options
 from handover_marl.policies.reference import PolicyLike, parse_policy
@@ -25,24 +25,13 @@ class Plain(ReplayGiver):
     name = "plain"
 
 
-class Lifting(Plain):
-    """Giver whose constructor takes the context and an option, as constructors of receivers do."""
-
-    name = "lifting"
-
-    def __init__(self, context: PolicyContext, height: float = 0.1) -> None:
-        super().__init__(context)
-        self.height = height
-
-
 class Alone(Plain):
     """Giver whose constructor takes no context."""
 
     name = "alone"
 
-    def __init__(self, height: float = 0.1) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.height = height
 
 
 class Hasty(HoldReceiver):
@@ -53,7 +42,7 @@ class Hasty(HoldReceiver):
         return -1.0
 
 
-@pytest.mark.parametrize("policy", [Plain, (Lifting, {"height": 0.2}), "replay", "cooperative"])
+@pytest.mark.parametrize("policy", [Plain, ("tired", {"sinking": 0.02}), "replay", "cooperative"])
 def test_classes_and_names_get_the_context(policy: PolicyLike) -> None:
     made = parse_policy("giver", policy).make(DATA, WorldConfig(), "s2")
     assert made.context.setup == "s2"
@@ -73,11 +62,8 @@ def test_givers_work_without_a_context() -> None:
 @pytest.mark.parametrize(
     ("receiver", "wait"),
     [
-        ("yang2021", 3.0),
-        ("yang2021:wait=0", 0.0),
-        ("omg_hand_aware:wait=1.5", 1.5),
-        ("hold", None),
-        ("population", None),
+        *(("yang2021", 3.0), ("yang2021:wait=0", 0.0), ("omg_hand_aware:wait=1.5", 1.5)),
+        *(("hold", None), ("population", None)),
     ],
 )
 def test_receivers_tell_their_wait(receiver: str, wait: float | None) -> None:

@@ -11,6 +11,7 @@ import handover_marl
 from handover_marl import givers, receivers
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError
+from handover_marl.learning.policy_files import DenseNetwork, PolicySpec, write_policy
 from handover_marl.policies.populations import DEFAULT_POPULATION, PopulationPolicy, list_populations, load_population
 from handover_marl.policies.reference import parse_policy
 from tests.evaluation.strangers.populations import GIVERS, RECEIVERS, write_population
@@ -89,11 +90,15 @@ def make_giver(path: Path, partners: str = "all") -> PopulationPolicy:
     return policy
 
 
-def test_members_are_those_of_the_split(tmp_path: Path) -> None:
+def test_members_are_those_of_the_split(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = write_population(tmp_path)
     assert [member.name for member in make_giver(path).members] == ["replay", "hurried", "hurried"]
     assert [member.name for member in make_giver(path, "train").members] == ["replay"]
     assert make_giver(path).weights_hash == make_giver(path).weights_hash != make_giver(path, "train").weights_hash
+    # A file with the name of a shipped population is not read.
+    monkeypatch.chdir(tmp_path)
+    Path(DEFAULT_POPULATION).touch()
+    assert parse_policy("giver", f"population:population={DEFAULT_POPULATION}").read_files() == []
 
 
 def test_the_seed_draws_the_member_that_acts(tmp_path: Path) -> None:
@@ -113,8 +118,12 @@ def test_the_seed_draws_the_member_that_acts(tmp_path: Path) -> None:
 
 
 def test_receivers_with_a_camera_are_left_out(tmp_path: Path) -> None:
+    network = DenseNetwork((np.zeros((7, 56), np.float32),), (np.zeros(7, np.float32),))
+    spec = PolicySpec("receiver", "receiver", "cartesian_delta", 0.1, "", "state+pointcloud")
+    write_policy(tmp_path / "camera.npz", spec, network)
     vision = {**RECEIVERS[0], "name": "camera", "policy": "gaddpg"}
-    path = write_population(tmp_path, receivers=[*RECEIVERS, vision])
+    learned = {**RECEIVERS[0], "name": "learned", "policy": "learned:{folder}/camera.npz"}
+    path = write_population(tmp_path, receivers=[*RECEIVERS, vision, learned])
     policy = receivers.make(("population", {"population": os.fspath(path), "partners": "test"}))
     assert isinstance(policy, PopulationPolicy)
     assert [member.name for member in policy.members] == ["hold"]
