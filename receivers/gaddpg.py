@@ -24,6 +24,7 @@ Details of the authors' scripts that determine the results:
 """
 
 import math
+import os
 from collections.abc import Callable
 from typing import Any
 
@@ -52,7 +53,6 @@ GRIPPER_POINTS = np.array(
         [0.0, 0.0, 0.075, 0.075, 0.105, 0.105],
     ]
 )
-
 
 # Values of HandoverSim. Number of object points in the network's input; base b of the share b^n of this number that is
 # kept of a view's cloud after n decisions.
@@ -170,12 +170,13 @@ class GaddpgReceiver(PhasedReceiver):
         self,
         context: PolicyContext,
         network: GaddpgFunction | None = None,
-        weights: str | None = None,
+        weights: str | os.PathLike[str] | None = None,
         wait: float | None = None,
         max_steps: int | None = None,
     ) -> None:
         super().__init__(context, wait)
-        self._network, self._label, own_steps = _load_network(network, weights)
+        path = None if weights is None else os.fspath(weights)
+        self._network, self._label, own_steps = _load_network(network, path)
         if max_steps is not None and (type(max_steps) is not int or max_steps < 1):
             raise OptionError(f"max_steps must be a whole number of at least 1, got {max_steps!r}")
         max_steps = own_steps if max_steps is None else max_steps
@@ -307,10 +308,7 @@ def _matrix_from_step(step: Array) -> Array:
 
 
 def _rotation_matrix(quaternion: Array) -> Array:
-    """Return the rotation matrix (3, 3) of a quaternion xyzw of any length.
-
-    Quaternions of the engine have unit length in float32 only.
-    """
+    """Return the rotation matrix (3, 3) of a quaternion xyzw of any length; the engine rounds them to float32."""
     x, y, z, w = quaternion
     scale = 2.0 / (w * w + x * x + y * y + z * z)
     wx, wy, wz = w * (x * scale), w * (y * scale), w * (z * scale)

@@ -4,6 +4,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from handover_marl.assets.shipped import GADDPG_WEIGHTS
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.loop import call_policy, start_policy
 from handover_marl.episode.observations import Observation
@@ -87,6 +88,11 @@ def test_closes_on_a_caged_object_and_carries_it_to_the_goal() -> None:
     assert receiver.hold_time == float("inf")
     assert len({tuple(action) for action in actions}) == count
     np.testing.assert_array_equal(receiver.act(observe(12_000)), actions[-1])
+
+
+def test_weights_may_be_a_path() -> None:
+    pytest.importorskip("torch", reason="needs the extra `train`")
+    assert GaddpgReceiver(CONTEXT, weights=GADDPG_WEIGHTS).label == GaddpgReceiver(CONTEXT).label
 
 
 def test_invalid_network_output() -> None:
