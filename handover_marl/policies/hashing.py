@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from handover_marl.execution.reading import cached_by_file, read_mtime
 from handover_marl.version import __version__
 
 _LIBRARY, _SCRIPT = "handover_marl", "__main__"
@@ -63,9 +64,9 @@ def hash_object(value: object, arrays_only: bool = False) -> str:
 def hash_package(name: str) -> str:
     """Return the version of a top-level package if it is installed and has one, else a hash of its Python files.
 
-    For a module outside a package, the hash covers its file, and the modules and packages in the same folder that it
-    imports, directly or not. A package of the standard library without a version gets "", code without a file gets a
-    random hash.
+    The hash also covers the modules and packages in the package's parent folder, or beside a module that is outside a
+    package, that it imports, directly or not. A package of the standard library without a version gets "", code without
+    a file gets a random hash.
     """
     package, folders = sys.modules.get(name), _find_folders(name)
     if _is_installed(name):
@@ -74,8 +75,9 @@ def hash_package(name: str) -> str:
             return str(version)
     if hasattr(package, "__path__"):
         files = [path for folder in folders for path in sorted(folder.rglob("*.py")) if path.is_file()]
+        files += sorted({path for folder in folders for path in _find_beside(tuple(files), folder.parent)} - {*files})
     else:
-        files = _find_imported_files(Path(getattr(package, "__file__", ""))) if folders else []
+        files = sorted(_find_imported_files((Path(getattr(package, "__file__", "")),), folders[0])) if folders else []
     digest = hashlib.sha256(b"" if folders else secrets.token_bytes())
     for path in files:
         digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
@@ -109,14 +111,22 @@ def _get_import_name(module: str) -> str:
     return str(spec.name) if spec is not None else Path(file).name.partition(".")[0] if file else module
 
 
-def _find_imported_files(file: Path) -> list[Path]:
-    """Return a Python file and, if not installed, modules and packages beside it that it imports, directly or not."""
-    finder = ModuleFinder([str(file.parent)], excludes=[_LIBRARY])
-    with contextlib.suppress(SyntaxError, ValueError):  # compiled code, or code for another Python
-        if not _SITE_FOLDERS & set(file.parts):
-            finder.run_script(str(file))
+def _find_imported_files(files: tuple[Path, ...], folder: Path) -> set[Path]:
+    """Return Python files and, if not installed, modules and packages in `folder` that they import, directly or not."""
+    finder = ModuleFinder([str(folder)], excludes=[_LIBRARY])
+    for file in () if _SITE_FOLDERS & set(folder.parts) else files:
+        # Compiled code, code for another Python, or a relative import in a folder without __init__.py.
+        with contextlib.suppress(AttributeError, ImportError, SyntaxError, ValueError):
+            if file.parent == folder or not (file.parent / "__init__.py").is_file():
+                finder.run_script(str(file))
+            else:
+                finder.import_hook(".".join(file.relative_to(folder).with_suffix("").parts).removesuffix(".__init__"))
     imported = (getattr(module, "__file__", None) for module in finder.modules.values())
-    return sorted({file, *map(Path, filter(None, imported))})
+    return {*files, *map(Path, filter(None, imported))}
+
+
+# Cached, because reading a large package takes seconds.
+_find_beside = cached_by_file(16, lambda files: tuple(map(read_mtime, files)))(_find_imported_files)
 
 
 def _find_folders(name: str) -> list[Path]:

@@ -26,7 +26,6 @@ from handover_marl.version import __version__
 
 WEIGHTS = np.arange(3.0)
 
-
 NAMED = """
 from handover_marl.givers import Giver, make_giver_action
 from handover_marl.learning.custom_encodings import declare_size

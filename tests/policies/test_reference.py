@@ -273,15 +273,16 @@ def test_labels() -> None:
     assert resolve("replay").label == "replay"
     assert resolve(f"{HERE}:Mine").label == resolve(Mine).label == resolve(Mine()).label == "mine"
     assert resolve(f"{HERE}:Mine:word=x,speed=2").label == "mine:speed=2,word=x"
-    assert resolve((Mine, {"word": "x", "speed": 2})).label == "mine:speed=2,word=x"
+    assert resolve((Mine, {"word": Path("x"), "speed": 2})).label == "mine:speed=2,word=x"
     assert resolve(f"learned:{GIVER_FILE}").label.startswith("learned:turning_final@")
 
 
 PACKAGE = {
     "__init__.py": "",
-    "policy.py": "from handover_marl.givers.variations import ReplayGiver\nfrom own_package.helping import HELP\n\n"
+    "policy.py": "import own_side\nfrom handover_marl.givers.variations import ReplayGiver\nfrom .helping import HELP\n"
     "class Own(ReplayGiver):\n    name = 'own'\n    def act(self, observation):\n        return HELP()\n",
     "helping.py": "def HELP():\n    return 1\n",
+    "../own_side.py": "SHIFT = 1\n",
 }
 
 
@@ -295,14 +296,14 @@ def test_hashes_cover_the_authors_package(tmp_path: Path, monkeypatch: pytest.Mo
             (tmp_path / "own_package" / name).write_text(text)
         importlib.invalidate_caches()
         found = resolve("own_package.policy:Own").code_hash
-        for name in [name for name in sys.modules if name.partition(".")[0] == "own_package"]:
+        for name in [name for name in sys.modules if name.startswith(("own_package", "own_side"))]:
             del sys.modules[name]
         return found
 
     first = hash_with({})
     assert hash_with({}) == first
     changed = [{"policy.py": PACKAGE["policy.py"] + "    extra = 1\n"}, {"helping.py": "def HELP():\n    return 2\n"}]
-    assert len({first, *map(hash_with, changed)}) == 3
+    assert len({first, *map(hash_with, [*changed, {"../own_side.py": "SHIFT = 2\n"}])}) == 4
 
 
 @pytest.mark.parametrize(
