@@ -29,7 +29,7 @@ from handover_marl.assets.shipped import CLASSES_WITHOUT_GRASPS
 from handover_marl.config import HAND_DOF, MAX_OBJECTS, OBJECT_DOF
 from handover_marl.datasets.dataset import TABLE_HEIGHT, Dataset, Scene, SceneAssets, SceneInfo
 from handover_marl.datasets.restricted_pickle import load_restricted
-from handover_marl.errors import DataNotFoundError
+from handover_marl.errors import DataFormatError, DataNotFoundError
 from handover_marl.execution.options import check_path
 from handover_marl.execution.reading import (
     cached_by_file,
@@ -47,6 +47,8 @@ CACHE_FOLDER = "dex-ycb-cache"
 #: Largest accepted size of a scene's motion (bytes, unpacked).
 MAX_MOTION_BYTES = 500_000_000
 _MAX_META_BYTES, _MAX_GRASP_BYTES = 1_000_000, 20_000_000  # official grasp files have less than 1 MB
+# Largest distances (m) of grasps from the object's origin, and of bodies from the origin of the table's frame.
+_MAX_GRASP_DISTANCE, _MAX_DISTANCE = 2.0, 3.0
 #: URDFs of the robot's variants, relative to `assets/`.
 PANDA_FILES = {PANDA: "franka_panda/panda_gripper.urdf", PANDA_CAMERA: "franka_panda/panda_gripper_hand_camera.urdf"}
 #: Text among the first bytes of a stand-in file.
@@ -143,6 +145,8 @@ def _read_scene_info(path: Path, scene_id: int) -> tuple[SceneInfo, list[int]]:
         meta = json.loads(read_plain_file(path, _MAX_META_BYTES))
         ids, grasped, sides, name = (meta[key] for key in ("ycb_ids", "ycb_grasp_ind", "mano_sides", "name"))
         check_scene_meta(ids, grasped, sides)
+        if not isinstance(name, str):
+            raise TypeError(f"name must be text, got {name!r}")
     order = [grasped, *(index for index in range(len(ids)) if index != grasped)]
     ids = [ids[index] for index in order]
     names = tuple(CLASS_NAMES[number] for number in ids)
@@ -152,7 +156,8 @@ def _read_scene_info(path: Path, scene_id: int) -> tuple[SceneInfo, list[int]]:
 def read_motion(path: Path, shapes: Mapping[str, tuple[int, ...]], advice: str) -> list[npt.NDArray[np.float32]]:
     """Read arrays (T, *shape) of T frames from a motion file (`.npz`) as float32; `shapes` maps their names to `shape`.
 
-    A damaged file raises `DataFormatError` with `advice` for the user.
+    The second array has the motion of a hand: zeros in frames without a hand, at the start and at the end. A damaged
+    file raises `DataFormatError` with `advice` for the user.
     """
     with report_damage(path, "pose file", advice):
         arrays = [array.astype(np.float32) for array in read_arrays(path, tuple(shapes), MAX_MOTION_BYTES).values()]
@@ -160,15 +165,19 @@ def read_motion(path: Path, shapes: Mapping[str, tuple[int, ...]], advice: str) 
         for array, (name, shape) in zip(arrays, shapes.items(), strict=True):
             if array.shape != (n_frames, *shape) or not n_frames or not np.isfinite(array).all():
                 raise ValueError(f"{name} must be finite numbers of shape {('T', *shape)}, got shape {array.shape}")
+        shown = np.flatnonzero(arrays[1].reshape(n_frames, -1).any(axis=1))
+        if len(shown) and shown[-1] - shown[0] >= len(shown):
+            raise ValueError("poses of the hand must be zero only at start and end, got zeros between them")
     return arrays
 
 
 def check_scene_meta(ids: list[int], grasped: int, sides: list[Any]) -> None:
     """Check class numbers `ids`, index `grasped` of the handed-over object and `sides` of hands; raise `ValueError`."""
-    if not 1 <= len(ids) <= MAX_OBJECTS or not set(ids) <= set(SCENE_CLASSES):
+    is_known = all(type(number) is int for number in ids) and {*ids} <= {*SCENE_CLASSES}
+    if not is_known or not 1 <= len({*ids}) == len(ids) <= MAX_OBJECTS:
         classes = ", ".join(map(str, SCENE_CLASSES))
-        raise ValueError(f"ycb_ids must be 1 to {MAX_OBJECTS} of the object classes {classes}, got {ids}")
-    if grasped not in range(len(ids)):
+        raise ValueError(f"ycb_ids must be 1 to {MAX_OBJECTS} different ones of the classes {classes}, got {ids}")
+    if type(grasped) is not int or not 0 <= grasped < len(ids):
         raise ValueError(f"ycb_grasp_ind must be an index into {len(ids)} ycb_ids, got {grasped}")
     if sides not in (["right"], ["left"]):
         raise ValueError(f"mano_sides must be ['right'] or ['left'], got {sides}")
@@ -188,10 +197,17 @@ def load_grasps(path: Path) -> npt.NDArray[np.float64]:
 
 
 def check_grasps(grasps: npt.NDArray[np.floating]) -> npt.NDArray[np.float64]:
-    """Return robot grasps as float64; raise `ValueError` if they are not finite numbers (n, 4, 4)."""
+    """Return robot grasps (n, 4, 4) as float64; raise `ValueError` if they are no rigid poses, or in other units."""
     if grasps.ndim != 3 or grasps.shape[1:] != (4, 4) or not np.isfinite(grasps).all():
         raise ValueError(f"grasps must be finite numbers of shape (n, 4, 4), got shape {grasps.shape}")
-    return grasps.astype(np.float64)
+    poses = grasps.astype(np.float64)
+    rotations, near = poses[:, :3, :3], np.linalg.norm(poses[:, :3, 3], axis=1) < _MAX_GRASP_DISTANCE
+    errors = np.abs(rotations @ rotations.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2), initial=0.0)
+    is_rigid = (errors < 1e-3) & (np.linalg.det(rotations) > 0.0) & (poses[:, 3] == np.eye(4)[3]).all(axis=1)
+    if not (is_rigid & near).all():
+        wrong = poses[np.argmin(is_rigid & near)].round(3).tolist()
+        raise ValueError(f"grasps must be rigid poses in m, at most {_MAX_GRASP_DISTANCE:g} m away, got {wrong}")
+    return poses
 
 
 class OfficialDataset(Dataset):
@@ -240,7 +256,11 @@ class OfficialDataset(Dataset):
         self.check_scene_id(scene_id)
         info, order = self._info(scene_id)
         shapes = {"pose_y": (len(order), OBJECT_DOF), "pose_m": (1, HAND_DOF)}
-        objects, hands = read_motion(self._pose_path(scene_id), shapes, "it may be truncated, copy or expand it again")
+        path, advice = self._pose_path(scene_id), "it may be truncated, copy or expand it again"
+        objects, hands = read_motion(path, shapes, advice)
+        farthest = max(float(np.abs(motion[..., :3]).max()) for motion in (objects, hands))
+        if farthest >= _MAX_DISTANCE:
+            raise DataFormatError(f"{path}: positions must be less than 3 m (not mm), got {farthest:.4g}; {advice}")
         object_dof, hand_dof = objects[:, order], hands[:, 0]
         present = np.flatnonzero(hand_dof.any(axis=1))
         object_dof[:, :, 2] += TABLE_HEIGHT

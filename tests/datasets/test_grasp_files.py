@@ -37,7 +37,9 @@ def test_reads_python_2_pickles(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "content",
     [0, 200, [1], {"other": np.eye(4)[None]}]
-    + [{"transforms": array} for array in (np.eye(3)[None], np.full((2, 4, 4), np.nan))],
+    + [{"transforms": array} for array in (np.eye(3)[None], np.full((2, 4, 4), np.nan))]
+    + [{"transforms": np.diag(scales)[None]} for scales in ([2.0, 2, 2, 1], [-1.0, 1, 1, 1])]
+    + [{"transforms": np.eye(4)[None] + offset} for offset in (500.0 * np.eye(4, k=3), 0.5 * np.eye(4, k=-3))],
 )
 def test_damaged_files(tmp_path: Path, content: object) -> None:
     path = tmp_path / "g.npy"

@@ -11,7 +11,7 @@ import pytest
 import handover_marl
 from handover_marl.datasets import open_dataset
 from handover_marl.datasets.generated.dataset import FIRST_CLASS
-from handover_marl.errors import SceneError, UnknownNameError
+from handover_marl.errors import UnknownNameError
 from handover_marl.evaluation.metadata import read_result_metadata
 from handover_marl.evaluation.reports.report import load_report
 from handover_marl.evaluation.verification import verify
@@ -30,8 +30,6 @@ def test_official_setups_and_scenes_are_the_default() -> None:
     assert dataset.object_names == CLASS_NAMES
     with pytest.raises(UnknownNameError, match="unknown setup 'all'; valid: s0, s1, s2, s3"):
         dataset.list_scenes("all", "val")
-    with pytest.raises(SceneError, match="numbered 0 to 999"):
-        dataset.check_scene_id(1000)
 
 
 @pytest.mark.slow

@@ -23,11 +23,7 @@ from handover_marl.datasets.dexycb.scenes import (
     find_sequences,
     import_scene,
 )
-from handover_marl.datasets.official import (
-    CACHE_FOLDER,
-    is_stand_in_file,
-    list_required_files,
-)
+from handover_marl.datasets.official import CACHE_FOLDER, is_stand_in_file, list_required_files
 from handover_marl.datasets.splits import N_SCENES, choose_scenes
 from handover_marl.errors import HandoverError, ResultsError
 from handover_marl.execution.files import remove_stale_temporaries
