@@ -16,12 +16,13 @@ from pathlib import Path
 from typing import Any, Final
 
 from handover_marl.assets.hand_model import SIDES, SUBJECTS
+from handover_marl.config import MAX_OBJECTS
 from handover_marl.datasets.splits import SETUPS, SPLITS
 from handover_marl.errors import DataNotFoundError, OptionError, check_name
 from handover_marl.execution.files import shorten_text, write_atomically
 from handover_marl.execution.reading import read_plain_file, report_damage
 from handover_marl.geometry.panda import OPEN
-from handover_marl.geometry.ycb import CLASS_NAMES
+from handover_marl.geometry.ycb import CLASS_NAMES, LARGEST_YCB_CLASS
 
 FORMAT_NAME: Final = "handover_marl scenes"
 FORMAT_VERSION: Final = 1
@@ -32,7 +33,7 @@ ALL_SCENES: Final = "all"
 RESERVED_SETUPS: Final = (*SETUPS, ALL_SCENES)
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
-_MAX_BYTES = 64_000_000
+_MAX_BYTES, _MAX_INTEGER = 64_000_000, 2**24 - 1
 
 
 @dataclass(frozen=True)
@@ -59,9 +60,11 @@ class CustomObject:
 
     def __post_init__(self) -> None:
         check_file_name("name of an object", self.name, CLASS_NAMES.values())
-        for name in ("number", "n_grasps", "n_candidates"):
-            if type(getattr(self, name)) is not int:
-                raise OptionError(f"{name} of object {self.name} must be an integer, got {getattr(self, name)!r:.100}")
+        # Class numbers are exact in float32 observations.
+        for name, least in (("number", LARGEST_YCB_CLASS + 1), ("n_grasps", 0), ("n_candidates", 0)):
+            value, rule = getattr(self, name), f"an integer from {least} to {_MAX_INTEGER}"
+            if type(value) is not int or not least <= value <= _MAX_INTEGER:
+                raise OptionError(f"{name} of object {self.name} must be {rule}, got {value!r:.100}")
         for name in ("mass", "friction"):
             if type(getattr(self, name)) not in (int, float):
                 raise OptionError(f"{name} of object {self.name} must be a number, got {getattr(self, name)!r:.100}")
@@ -99,6 +102,8 @@ class CustomScene:
         check_name("side", self.side, SIDES)
         if self.hand is not None:
             check_name("hand", self.hand, SUBJECTS)
+        if not 1 <= len(self.objects) <= MAX_OBJECTS:
+            raise OptionError(f"objects of {self.name} must be 1 to {MAX_OBJECTS} classes, got {len(self.objects)}")
 
     def __str__(self) -> str:
         hand = "no hand" if self.hand is None else f"{self.side} hand {self.hand}"
@@ -143,6 +148,8 @@ class SceneFile:
             check_name("class", name, self.object_names.values())
         for name, setup in self.setups.items():
             check_file_name("name of a setup", name, RESERVED_SETUPS)
+            if {*setup} != {*SPLITS}:
+                raise ValueError(f"splits of setup {name} must be {', '.join(SPLITS)}, got {shorten_text([*setup])}")
             for number in chain(*setup.values()):
                 check_name("scene", number, range(len(self.scenes)))
 
@@ -179,7 +186,8 @@ def check_file_name(argument: str, name: object, reserved: Collection[str] = ())
     """Return `name` if it can be part of a file name and is not reserved; else raise `OptionError` about `argument`."""
     if not isinstance(name, str) or not _NAME.fullmatch(name):
         raise OptionError(
-            f"{argument} must be 1 to 64 letters, digits, '_', '.' or '-', got {shorten_text(repr(name))}; rename it"
+            f"{argument} must be 1 to 64 letters, digits, '_', '.' or '-', the first a letter or digit, got "
+            f"{shorten_text(repr(name))}; rename it"
         )
     if name in reserved:
         raise OptionError(f"{argument} must not be one of {', '.join(reserved)}, got {name!r}; choose another one")
@@ -203,7 +211,7 @@ def read_scene_file(folder: Path) -> SceneFile:
             objects=tuple(CustomObject(**_decode(item)) for item in content.pop("objects")),
             scenes=tuple(CustomScene(**_decode(item)) for item in content.pop("scenes")),
             setups={
-                name: {split: tuple(sorted(splits[split])) for split in SPLITS}
+                name: {split: tuple(sorted(numbers)) for split, numbers in splits.items()}
                 for name, splits in content.pop("setups").items()
             },
         )

@@ -32,14 +32,15 @@ def test_content_is_read_as_it_was_written(tmp_path: Path) -> None:
     ("changes", "message"),
     [
         ({"objects": [{"name": "bottle"}]}, "number"),
-        ({"objects": [{**vars(CONTENT.objects[0]), "name": "../x"}]}, "must be 1 to 64"),
+        ({"objects": [{**vars(CONTENT.objects[0]), "name": "../x"}]}, "must be 1 to 64 .*, the first a letter or"),
         ({"setups": {"s0": dict.fromkeys(("train", "val", "test"), ())}}, "must not be one of s0, "),
         ({"setups": {"mine": {"train": [2], "val": [], "test": []}}}, "unknown scene 2; valid: 0, 1"),
         ({"setups": {"mine": {"train": [1], "val": [1], "test": []}}}, "scenes of mine must be different"),
+        ({"setups": {"mine": dict.fromkeys(("train", "val", "test", "tset"), ())}}, "splits of setup mine must be"),
         ([], ""),
         *(
             ({"objects": [{**vars(CONTENT.objects[0]), "number": number}, vars(CONTENT.objects[1])]}, message)
-            for number, message in ((5, "numbers of objects must be different"), (23, "numbers of objects must"))
+            for number, message in ((23, "must be different"), *((n, "from 22 to 16777215") for n in (0, 5, 2**24)))
         ),
         *(
             ({"scenes": [{**vars(CONTENT.scenes[0]), key: value}, vars(CONTENT.scenes[1])]}, message)
@@ -48,6 +49,7 @@ def test_content_is_read_as_it_was_written(tmp_path: Path) -> None:
                 ("name", "ben/2", "names of scenes must be different"),
                 *(("side", "up", "unknown side 'up'; valid: left, right"), ("hand", 0, "unknown hand 0; valid: 1, 2")),
                 *(("objects", ["cup", "cup"], "must be different"), ("objects", ["jar"], "unknown class 'jar'")),
+                *(("objects", ["cup"] * number, "must be 1 to 5 classes") for number in (0, 6)),
             )
         ),
     ],
