@@ -32,7 +32,6 @@ _SPLIT_OF_REMAINDER: Final = np.array([0] * 8 + [1, 2])
 _OBJECT_OFFSET: Final = 1 << 40
 ItemKind = Literal["scene", "object", "person"]
 
-
 # Smallest and largest values. Seeds are 32-bit words, and class numbers are exact in float32 observations.
 _LIMITS: Final = {
     **{"n": (1, 10_000_000), "seed": (0, 2**32 - 1), "objects": (50, 100_000), "people": (1, 100_000)},
@@ -45,23 +44,7 @@ _LIMITS: Final = {
 class GeneratedConfig:
     """Configuration of generated scenes; a value that is not allowed raises `OptionError` or `UnknownNameError`.
 
-    Attributes:
-        n: Number of scenes. Scenes do not depend on it: more scenes continue the same sequence.
-        seed: Seed of all random numbers.
-        family: Family of scenes, one of `FAMILIES`.
-        procedural: Share (0 to 1) of scenes whose handed-over object is procedural; in the others it is one
-            of 18 shipped objects.
-        objects: Number of procedural objects from which those in scenes are drawn.
-        people: Number of people that hand over procedural objects; the shipped objects are handed over by
-            the ten people of the synthetic scenes.
-        left: Share (0 to 1) of scenes in which the giver uses the left hand.
-        clutter_min: Smallest number of other objects on the table.
-        clutter_max: Largest number of other objects on the table.
-        boxes: Relative frequency of boxes among the procedural objects; only ratios of the frequencies matter.
-        cylinders: Relative frequency of cylinders.
-        bottles: Relative frequency of bottles.
-        tools: Relative frequency of tools.
-        superquadrics: Relative frequency of superquadrics.
+    The page `docs/how_to/generate_scenes.md` describes the attributes, the parameters of generated scenes.
     """
 
     n: int = 1000

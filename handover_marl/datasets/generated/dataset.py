@@ -54,9 +54,7 @@ Array = npt.NDArray[np.float64]
 #: Class number of the first procedural object.
 FIRST_CLASS: Final = max(CLASS_NAMES) + 1
 #: Class numbers of the shipped objects that the gripper can span.
-GRASPABLE_CLASSES: Final = tuple(
-    number for number in SCENE_CLASSES if CLASS_NAMES[number] not in CLASSES_WITHOUT_GRASPS
-)
+GRASPABLE_CLASSES: Final = tuple(each for each in SCENE_CLASSES if CLASS_NAMES[each] not in CLASSES_WITHOUT_GRASPS)
 _MAX_ATTEMPTS = 50
 # For the estimated share of robot grasps that the person leaves free: number of surface points from which robot grasps
 # are tried, and largest and smallest number of these grasps; with fewer, the share is not estimated.

@@ -39,7 +39,6 @@ Flags = npt.NDArray[np.bool_]
 # Spheres that suffice to detect most colliding hands: number of the digit and of the sphere on it.
 _PROBED_SPHERES: Final = (np.array([4, 0, 0, 4, 4, 0]), np.array([4, 3, 7, 8, 1, 1]))
 
-
 #: Largest penetration of the object into the fingers, and into the palm (m).
 SKIN_YIELD, _PALM_YIELD = 0.002, 0.003
 # Largest distance of opposite points, and range of the difference between the gap of the hand and the object (m).

@@ -145,7 +145,7 @@ def compute_hull_corners(object_name: str) -> Array:
 
 
 def draw_calibrated_positions(random: RandomStream) -> tuple[Array, Array]:
-    """Draw an object's start x, y (2,) and handover position (3,), table's frame (m), distributed as in DexYCB."""
+    """Draw an object's start x, y (2,) and handover position (3,), table's frame (m), as in DexYCB with either hand."""
     start_x, handover_x = random.draw_correlated_quantiles("start_x", "handover_x", START_HANDOVER_X)
     start_y, handover_y = random.draw_correlated_quantiles("start_y", "handover_y", START_HANDOVER_Y)
     handover_z = random.draw_quantile("handover_z")

@@ -2,8 +2,8 @@
 
 NumPy guarantees the raw output of its bit generators, but not the numbers that `Generator` makes of
 it, so all numbers are derived from raw 64-bit words. `dexycb_statistics.json` has the source, the units and a
-description of every table. For the statistics, scenes with left hands are mirrored to right hands (positions
-x -> 2 * MIRROR_X - x, directions x -> -x).
+description of every table. The hands' directions and `entry_x` are those of right hands: left hands were mirrored
+(positions x -> 2 * MIRROR_X - x, directions x -> -x). Positions of objects were not mirrored.
 """
 
 import json
@@ -38,7 +38,7 @@ UP_AXES: MappingProxyType[int, tuple[int, ...]] = MappingProxyType(
     {int(number): tuple(counts) for number, counts in _STATISTICS["recordings_by_class_and_up_axis"].items()}
 )
 
-#: Position x (m) of the plane at which left-handed givers are mirrored to right-handed ones.
+#: Position x (m) of the plane at which the entry of left hands is mirrored to that of right hands.
 MIRROR_X: float = _STATISTICS["mirror_x"]
 
 #: Integers of at least 0 that identify a scene, an object or a person.
