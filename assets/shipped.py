@@ -127,12 +127,9 @@ def find_bullet_data(feature: str, advice: str) -> Path:
 
 
 def find_vision_weights(network: str, setup: str) -> Path:
-    """Return the path of a network of the receiver `vision` that was trained on the train split of a setup.
+    """Return the path of a network of the receiver `vision` that was trained on the train split of an official setup.
 
-    Args:
-        network: "vision" for the grasp network, "segmentation" for the segmentation network; the scripts that train
-            them are `experiments/training/train_vision.py` and `train_segmentation.py`.
-        setup: Official setup; the file need not exist.
+    The network is "vision", which predicts grasps, or "segmentation". The file need not exist.
     """
     return DATA_ROOT / f"{network}_{setup}.npz"
 

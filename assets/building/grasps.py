@@ -66,11 +66,7 @@ _N_ROBOT_GRASPS = 100  # of each of the library's objects
 
 
 def build_human_grasps(out: Path = GRASPS_FILE) -> None:
-    """Build the human grasps of all objects and write them to a file, by object, side, subject and grasp.
-
-    Args:
-        out: Output file (`.npz`).
-    """
+    """Build the human grasps of all objects; write them to the `.npz` file `out` by object, side, subject and grasp."""
     found = []
     for number, name in enumerate(track(GRASPED_OBJECTS, description="human grasps")):
         solid = read_solid(find_object_urdf(name))
@@ -133,11 +129,7 @@ def select_grasps(random: RandomStream, grasps: HumanGrasps, name: str, count: i
 
 
 def build_robot_grasps(out: Path = GRASPS_PATH) -> None:
-    """Build the robot grasps of all objects and write them to one file.
-
-    Args:
-        out: Output file (`.npz`).
-    """
+    """Build the robot grasps of all objects and write them to the file `out` (`.npz`)."""
     names = sorted(name for name in CLASS_NAMES.values() if name not in CLASSES_WITHOUT_GRASPS)
     grasps = {name: make_robot_grasps(find_object_urdf(name), _N_ROBOT_GRASPS, seed=0)[0] for name in names}
     write_arrays(out, {name: found.astype(np.float32) for name, found in grasps.items()})

@@ -23,12 +23,7 @@ NAMES = (
     "stop_when_near:distance=0.5",
     "noisy:displacement=0.05,rotation=0,rate=0,time_constant=1",
     "withdrawing:max_speed=0.1,max_distance=0.6,withdrawal=0.3,return_after=0.2",
-    "displaced",
-    "early_release",
-    "interrupting",
-    "recording_spread",
-    "tired",
-    "adaptive:offers=8",
+    *("displaced", "early_release", "interrupting", "recording_spread", "tired", "adaptive:offers=8"),
     "cooperative:approach_share=0.5,min_distance=0.3,max_displacement=0.1,max_rotation=0.3,rate=0.5,withdrawal=0.3",
 )
 

@@ -121,12 +121,8 @@ def test_an_early_release_follows_the_gripper_after_a_delay() -> None:
 @pytest.mark.parametrize(
     "text",
     [
-        "hurried:min_rate=0.9,max_rate=0.5",
-        "displaced:distance=0.4",
-        "tired:frequency=20",
-        "early_release:max_delay=-1",
-        "interrupting:longest=20",
-        "recording_spread:rotation=4",
+        *("hurried:min_rate=0.9,max_rate=0.5", "displaced:distance=0.4", "tired:frequency=20"),
+        *("early_release:max_delay=-1", "interrupting:longest=20", "recording_spread:rotation=4"),
     ],
 )
 def test_options_out_of_range(text: str) -> None:

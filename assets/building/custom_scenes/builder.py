@@ -16,6 +16,7 @@ from rich.console import Console
 
 from handover_marl.assets.building.custom_scenes.finger_closing import close_hand
 from handover_marl.assets.building.custom_scenes.motion_tables import (
+    ARRAY_NAMES,
     OBJECT,
     MotionConfig,
     make_trajectory,
@@ -113,7 +114,7 @@ class CustomSceneFolder:
             OptionError: An argument is out of range, or a YCB class or an object of the folder has the name already.
             DataNotFoundError, DataFormatError, ResultsError: No mesh file, no solid body, or no access to the folder.
         """
-        text = check_file_name("name", name, CLASS_NAMES.values())
+        text = check_file_name("name", name, (*CLASS_NAMES.values(), *ARRAY_NAMES))
         config = config or MeshConfig()
         source = mesh if isinstance(mesh, trimesh.Trimesh) else check_path("mesh", mesh)
         self._check_is_new(text, self.content)

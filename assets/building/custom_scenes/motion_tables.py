@@ -34,13 +34,17 @@ from handover_marl.geometry.poses import compose
 Array = npt.NDArray[np.float64]
 
 OBJECT, WRIST, TIME = "object", "wrist", "time"
+#: Names of arrays that are no poses of other objects.
+ARRAY_NAMES: Final = (OBJECT, WRIST, TIME, "fingers")
 N_FINGER_ANGLES: Final = 45
 # Poses in the world of the frames that have a name: the simulation's world, and the table's frame of DexYCB.
 _FRAMES: Final = {"world": (0.0,) * 6 + (1.0,), "table": (0.0, 0.0, TABLE_HEIGHT, 0.0, 0.0, 0.0, 1.0)}
 _LENGTHS: Final = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 _MOTIVE_LENGTHS: Final = {"Meters": "m", "Centimeters": "cm", "Millimeters": "mm"}
+_SETTINGS: Final = {"Rotation Type": ["Quaternion"], "Length Units": [*_MOTIVE_LENGTHS], "Coordinate Space": ["Global"]}
 _TIMES: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _PARTS: Final = ("x", "y", "z", "qx", "qy", "qz", "qw")
+_THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}(,\d{3})+")
 _MAX_BYTES = 200_000_000
 _MAX_NORM_ERROR = 0.02  # of quaternions
 _ROUNDING = 1e-9  # of differences of times (s)
@@ -164,8 +168,8 @@ def _parse_motive(text: str, config: MotionConfig) -> tuple[dict[str, Any], Moti
     """Return times and poses (T, 7) by name from Motive's CSV formats 1.2 to 1.25, and `config` with its units."""
     lines = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip(", ")]
     rows = list(csv.reader(line for _, line in lines))
-    settings = dict(zip(rows[0][::2], rows[0][1::2], strict=False))
-    for key, valid in (("Rotation Type", ("Quaternion",)), ("Length Units", tuple(_MOTIVE_LENGTHS))):
+    settings = {"Coordinate Space": "Global", **dict(zip(rows[0][::2], rows[0][1::2], strict=False))}
+    for key, valid in _SETTINGS.items():
         if settings.get(key) not in valid:
             raise ValueError(
                 f"{key} in the first line must be {' or '.join(valid)}, got {shorten_text(settings.get(key, 'none'))}; "
@@ -183,6 +187,9 @@ def _parse_motive(text: str, config: MotionConfig) -> tuple[dict[str, Any], Moti
             f"not a CSV file of Motive with rigid bodies ({shorten_text(repr(error))}); export it with the rotation "
             "type Quaternion, header lines and lengths in m, cm or mm"
         ) from error
+    for name in names:
+        if columns.count(("Rigid Body", name, *parts[0])) > 1:
+            raise ValueError(f"rigid bodies must have different names, got {name!r} twice; rename one and export again")
     values = _parse_rows(lines[first:], ",", [" ".join(words[1:]) for words in columns])
     arrays = {TIME: values[:, 1], **{name: values[:, numbers] for name, numbers in places.items()}}
     return arrays, replace(config, time="s", length=_MOTIVE_LENGTHS[settings["Length Units"]])
@@ -204,7 +211,7 @@ def _parse_csv(text: str) -> dict[str, Any]:
             f"{shorten_text(first_line)!r}; add it"
         )
     separator = max(",", ";", "\t", key=first_line.count)
-    header = [cell.strip() for cell in first_line.split(separator)]
+    header = [cell.strip() for cell in next(csv.reader([first_line], delimiter=separator))]
     for name in header:
         if header.count(name) > 1:
             raise ValueError(f"column {shorten_text(name)!r} must be there once, got it twice; rename one")
@@ -232,16 +239,18 @@ def _parse_rows(lines: Sequence[tuple[int, str]], separator: str, columns: Seque
     """Return the numbers (T, c) in `lines`, pairs of a line's number in the file and its text; empty cells are NaN."""
     values = np.empty((len(lines), len(columns)))
     for row, (number, line) in enumerate(lines):
-        cells = line.split(separator)
+        cells = next(csv.reader([line], delimiter=separator))
         if len(cells) != len(columns):
             raise ValueError(f"line {number} must have {len(columns)} cells, got {len(cells)}; export it again")
         for column, cell in enumerate(cells):
             try:
-                values[row, column] = float(cell.replace(",", ".").strip() or "nan")
+                # In "1,200", the comma may also separate thousands.
+                is_unclear = separator != ";" and "," in cell and _THOUSANDS.fullmatch(cell.strip())
+                values[row, column] = float(cell if is_unclear else cell.replace(",", ".").strip() or "nan")
             except ValueError:
                 raise ValueError(
                     f"column {shorten_text(columns[column])!r} must be a number in line {number}, got "
-                    f"{shorten_text(cell)!r}; correct it, or leave it empty if the body was not tracked"
+                    f"{shorten_text(cell)!r}; use a decimal point, or leave it empty if the body was not tracked"
                 ) from None
     return values
 

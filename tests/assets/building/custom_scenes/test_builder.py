@@ -177,7 +177,7 @@ def test_splits(scenes: CustomSceneFolder) -> None:
             scenes.add_split(name, **options)
 
 
-@pytest.mark.parametrize("name", ["box", "025_mug", "../x"])
+@pytest.mark.parametrize("name", ["box", "025_mug", "../x", "wrist"])
 def test_objects_that_cannot_be_added(scenes: CustomSceneFolder, name: str) -> None:
     before = read_files(scenes.folder)
     with pytest.raises(HandoverError, match="name must"):

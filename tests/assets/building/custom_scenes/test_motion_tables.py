@@ -90,14 +90,22 @@ def test_a_hand_that_appears_later() -> None:
     assert trajectory["hand_dof"][200:, :3].all()
 
 
-@pytest.mark.parametrize("separator", [";", "sep=,"])
+@pytest.mark.parametrize("separator", [";", "sep=,", '","'])
 def test_csv_files_of_spreadsheets(separator: str, tmp_path: Path) -> None:
-    """Semicolons may separate numbers with decimal commas; Excel writes a line that names the separator."""
+    """Semicolons may separate decimal commas; Excel writes a line that names the separator, R quotes the header."""
     recording = make_recording()
     path = write_csv(tmp_path / "motion.csv", recording)
     text = path.read_text()
-    path.write_text(f"sep=,\n{text}" if separator == "sep=," else text.replace(",", separator).replace(".", ","))
+    header, rows = text.split("\n", 1)
+    quoted = '"' + header.replace(",", '","') + f'"\n{rows}'
+    texts = {"sep=,": f"sep=,\n{text}", '","': quoted}
+    path.write_text(texts.get(separator, text.replace(",", separator).replace(".", ",")))
     np.testing.assert_allclose(read_motion_table(path, MotionConfig()).bodies["object"], recording["object"], atol=1e-6)
+    path.write_text(text.replace(",", "\t").replace("\t0.6\t", "\t1,200\t", 1))
+    with pytest.raises(
+        DataFormatError, match="column 'object_x' must be a number in line 2, got '1,200'; use a decimal"
+    ):
+        read_motion_table(path, MotionConfig())
 
 
 def write_motive(path: Path, bodies: dict[str, Any], time: Any, old: bool) -> Path:
@@ -145,6 +153,8 @@ def test_files_of_motive_and_offsets_of_markers(old: bool, tmp_path: Path) -> No
         ("object", "Mug", "object is missing; .* this one has time, Mug, wrist; rename"),
         ("1.2", "1" * 200_000, r"take\.csv: field larger than field limit"),
         ("Quaternion", "XYZ", "Rotation Type in the first line must be Quaternion, got XYZ"),
+        ("1.2,", "1.2,Coordinate Space,Local,", "Coordinate Space in the first line must be Global, got Local"),
+        ("wrist", "object", "rigid bodies must have different names, got 'object' twice"),
         ("Length Units,Millimeters", "", "Length Units in the first line must be Meters or .*, got none"),
         ("0.600000", "abc", "column 'Name Time .Seconds.' must be a number in line 45, got 'abc'"),
         ("Format Version", "Version", "a file of Motive must start with its line 'Format Version,...', got 'Version,"),
