@@ -246,16 +246,17 @@ class WarpCamera:
         Returns:
             Numbers (r, limit) of the chosen pixels, ascending, then p, the number of all pixels, for missing ones.
         """
-        xp, segmentation = self._arrays.xp, images.segmentation
-        n_pixels = segmentation.shape[1]
+        xp, segmentation, n_pixels = self._arrays.xp, images.segmentation, images.segmentation.shape[1]
         with self._device.use():
             states = _scramble(_scramble(seeds) + stream_id) + steps
             keys = _scramble(_scramble(states)[:, None] + self._arrays.arange(n_pixels))
             # Keys of 32 bits differ within an image; other pixels come after those with the label.
             keys = xp.where(segmentation == int(label), keys, 2**32)
-            chosen = xp.topk(keys, limit, dim=1, largest=False, sorted=False).indices
+            chosen = xp.topk(keys, min(limit, n_pixels), dim=1, largest=False, sorted=False).indices
             is_labelled = xp.take_along_dim(segmentation, chosen, dim=1) == int(label)
-            return xp.sort(xp.where(is_labelled, chosen, n_pixels), axis=1)
+            found = self._arrays.full((len(segmentation), limit), n_pixels, "int64")
+            found[:, :n_pixels] = xp.sort(xp.where(is_labelled, chosen, n_pixels), axis=1)
+            return found
 
     def close(self) -> None:
         """Free the meshes; a world can be rendered again only after `load_scene`."""

@@ -134,6 +134,7 @@ def test_pixels_are_chosen_at_random_without_replacement() -> None:
         expected = np.flatnonzero(mask)
         np.testing.assert_array_equal(chosen[: len(expected)], expected)
         assert (chosen[len(expected) :] == WRIST_CAMERA.n_pixels).all()
+    assert sample([np.arange(300) < 2], [1], [0])[0].tolist() == [0, 1] + [300] * 1022, "an image with few pixels"
     mask = rng.random(WRIST_CAMERA.n_pixels) < 0.5
     found = sample([mask] * 64, list(range(64)), [7] * 64)
     assert mask[found].all()
