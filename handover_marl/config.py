@@ -25,8 +25,7 @@ TIME_STEP = 0.001
 #: Longest control period of an environment or a policy (s).
 MAX_CONTROL_PERIOD = 5.0
 
-PANDA_DOF = 9
-ARM_DOF = 7
+PANDA_DOF, ARM_DOF = 9, 7
 #: Height of the table top, world z (m).
 TABLE_HEIGHT = 0.92
 HAND_DOF = 51
@@ -36,13 +35,10 @@ N_KEYPOINTS = 16
 
 
 class CheckedConfig:
-    """Base class of configurations that check their fields on construction.
+    """Base class of configurations that check their fields on construction, and raise an `OptionError` for wrong ones.
 
     Numbers must be finite. A tuple must be as long as its default, unless its field is in `any_length`. A field whose
     default is a dataclass must have a value of the same class.
-
-    Raises:
-        OptionError: A field has another type, or a number is out of range.
     """
 
     #: Smallest and largest allowed number, both included, in fields that are not `bounded`.
@@ -71,23 +67,33 @@ class CheckedConfig:
                 object.__setattr__(self, part.name, _check_tuple(name, value, len(default), limits))
             else:
                 _check_number(name, value, isinstance(default, int), limits)
+            if part.metadata.get("in_steps"):
+                for time in np.ravel(value).tolist():
+                    count_physics_steps(name, time)
         for low, high in self.ordered_fields:
             first, second = getattr(self, low), getattr(self, high)
             if first > second:
                 raise OptionError(f"{low} of {type(self).__name__} must be at most {high}, got {first} and {second}")
 
 
-def bounded(default: float | tuple[float, ...], low: float, high: float = math.inf) -> Any:
-    """Return a field of a `CheckedConfig` with a default; all numbers in the field must be from `low` to `high`."""
-    return field(default=default, metadata={"limits": (low, high)})
+def bounded(default: float | tuple[float, ...], low: float, high: float = math.inf, in_steps: bool = False) -> Any:
+    """Return a field of a `CheckedConfig` with a default; all numbers in the field must be from `low` to `high`.
+
+    With `in_steps`, they are times in s, and must be whole numbers of physics steps.
+    """
+    return field(default=default, metadata={"limits": (low, high), "in_steps": in_steps})
+
+
+def count_physics_steps(name: str, time: float) -> int:
+    """Return the number of physics steps in a time (s); raise OptionError if it is no whole number."""
+    steps = round(time / TIME_STEP)
+    if abs(steps * TIME_STEP - time) > 1e-6:  # single precision suffices
+        raise OptionError(f"{name} must be a whole number of ms, in s, got {time!r}; take {steps * TIME_STEP:g}")
+    return steps
 
 
 def check_config(name: str, value: object, config_class: type) -> None:
-    """Check that a value is an instance of `config_class`; the error message calls the value `name`.
-
-    Raises:
-        OptionError: The value is not an instance of the class.
-    """
+    """Raise OptionError unless a value is an instance of `config_class`; the error message calls it `name`."""
     if not isinstance(value, config_class):
         raise OptionError(f"{name} must be a {config_class.__name__}, got {value!r}")
 
@@ -130,16 +136,14 @@ class MotorConfig(CheckedConfig):
     Panda has come near.
 
     Attributes:
-        force: Largest motor force (N) or torque (N m).
+        force: Largest motor force (N) or torque (N m), at least 0.001.
         position_gain: Share of the position error that is corrected in one physics step.
         velocity_gain: Share of the velocity error that is corrected in one physics step.
     """
 
-    default_limits: ClassVar[tuple[float, float]] = (0.0, math.inf)
-
-    force: float
-    position_gain: float
-    velocity_gain: float = 1.0
+    force: float = field(metadata={"limits": (0.001, math.inf)})
+    position_gain: float = field(metadata={"limits": (0.0, 1.0)})
+    velocity_gain: float = bounded(1.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -234,7 +238,7 @@ class GiverConfig(CheckedConfig):
         rate_change: Largest slope of the playback rate (1/s); a stop takes 0.2 s at the default.
         opening: Share by which finger angles shrink when the hand opens.
         opening_time: Time in which the hand opens (s).
-        preview: Times (s) after the current frame at which the giver observes its recording.
+        preview: Times (s) after the current frame at which the giver observes its recording, whole numbers of ms.
     """
 
     displacement: float = bounded(0.3, 0.0)
@@ -245,9 +249,9 @@ class GiverConfig(CheckedConfig):
     turn_acceleration: float = bounded(15.0, 0.0)
     rate_change: float = bounded(5.0, 0.0)
     opening: float = bounded(0.7, 0.0, 1.0)
-    opening_time: float = bounded(0.3, 0.0)
+    opening_time: float = bounded(0.3, 0.001)
     # Must have five times: observation spaces, features and learned givers expect five previewed poses.
-    preview: tuple[float, ...] = bounded((0.1, 0.2, 0.3, 0.4, 0.5), 0.0)
+    preview: tuple[float, ...] = bounded((0.1, 0.2, 0.3, 0.4, 0.5), 0.0, in_steps=True)
 
 
 @dataclass(frozen=True)
@@ -299,11 +303,7 @@ class WorldConfig(CheckedConfig):
     initial_joint_noise: float = field(default=0.0, repr=False, metadata={"limits": (0.0, 0.3)})
 
     def draw_initial_joints(self, seed: int) -> tuple[float, ...]:
-        """Draw the robot's joint positions (9,) at the start of an episode: 7 arm joints (rad) and 2 fingers (m).
-
-        Args:
-            seed: Seed of the draw; the positions do not depend on it if there is no noise.
-        """
+        """Draw the robot's joint positions (9,) at the start of an episode: 7 arm joints (rad) and 2 fingers (m)."""
         joints = self.physics.panda.start_joints
         if self.initial_joint_noise == 0.0:
             return joints
@@ -348,7 +348,7 @@ class CameraConfig(CheckedConfig):
     up: Vector3 = (0.0, 0.0, 1.0)
     link: str = ""
     name: str = "side"
-    period: float = bounded(0.0, 0.0, 10.0)
+    period: float = bounded(0.0, 0.0, 10.0, in_steps=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()

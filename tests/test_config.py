@@ -38,9 +38,15 @@ def test_wrong_values_are_refused_with_the_name_of_the_field(value: Any) -> None
 @pytest.mark.parametrize(
     ("make", "value"),
     [
-        (lambda value: MotorConfig(force=value, position_gain=0.1), -1.0),
+        (lambda value: MotorConfig(force=value, position_gain=0.1), 0.0),
+        (lambda value: MotorConfig(force=1.0, position_gain=value), 1.01),
+        (lambda value: MotorConfig(1.0, 0.1, velocity_gain=value), 1.01),
         (lambda value: PandaConfig(base_orientation=value), (0.0, 0.0, 0.0, 0.0)),
         (lambda value: GiverConfig(preview=value), (-1.0, 0.2, 0.3, 0.4, 0.5)),
+        (lambda value: GiverConfig(preview=value), (0.1, 0.2, 0.3, 0.4, 0.5005)),
+        (lambda value: GiverConfig(opening_time=value), 0.0),
+        (lambda value: CameraNoise(latency=value), 0.0333),
+        (lambda value: CameraConfig(period=value), 1.0 / 30.0),
         (lambda value: ProtocolConfig(release_steps=value), 0),
         (lambda value: ProtocolConfig(region_lower=value), (1.0, 1.0, 1.0)),
         (lambda value: WorldConfig(initial_joint_noise=value), 0.31),

@@ -1,11 +1,10 @@
 """Configuration of the two-agent handover environment."""
 
-import math
 from dataclasses import dataclass
+from numbers import Real
+from typing import Any
 
-import numpy as np
-
-from handover_marl.config import MAX_CONTROL_PERIOD, TIME_STEP, CameraConfig, WorldConfig, check_config
+from handover_marl.config import MAX_CONTROL_PERIOD, CameraConfig, WorldConfig, check_config, count_physics_steps
 from handover_marl.envs.custom_rewards import RewardLike, resolve_rewards
 from handover_marl.episode.scene_config import SceneConfig
 from handover_marl.episode.spaces import STATE, has_camera
@@ -59,27 +58,21 @@ class EnvConfig(SceneConfig):
         sensors = self.sensors
         if has_camera(self.obs_mode):
             resolve_renderer(sensors.renderer, self.physics)
+            if not sensors.cameras:
+                raise OptionError(f"cameras must not be empty with obs_mode={self.obs_mode!r}, got (); name a camera")
         resolve_rewards(self.rewards)
-        _count_physics_steps(self.control_period)
+        period: Any = self.control_period
+        is_number = isinstance(period, Real) and not isinstance(period, bool)
+        if not is_number or not 0.001 <= period <= MAX_CONTROL_PERIOD:
+            rule = f"control_period must be a time from 0.001 to {MAX_CONTROL_PERIOD:g} s"
+            raise OptionError(f"{rule}, got {period!r}; for 100 ms pass 0.1")
+        count_physics_steps("control_period", float(period))
+        # Not a number of NumPy, since policies are saved with the control period.
+        object.__setattr__(self, "control_period", round(float(period), 3))
         if self.max_cycles is not None:
             check_positive_integer("max_cycles", self.max_cycles)
 
     @property
     def control_steps(self) -> int:
         """Physics steps (1 ms) in a control period."""
-        return _count_physics_steps(self.control_period)
-
-
-def _count_physics_steps(control_period: float) -> int:
-    is_number = isinstance(control_period, (int, float, np.floating)) and not isinstance(control_period, bool)
-    steps = round(control_period / TIME_STEP) if is_number and math.isfinite(control_period) else 0
-    if steps * TIME_STEP > MAX_CONTROL_PERIOD:
-        raise OptionError(
-            f"control_period must be at most {MAX_CONTROL_PERIOD:g} s, got {control_period!r}; for 100 ms pass 0.1"
-        )
-    if steps < 1 or abs(steps * TIME_STEP - control_period) > 1e-9:
-        raise OptionError(
-            f"control_period must be a whole number of milliseconds, in seconds, got {control_period!r}; "
-            f"take {(steps if steps >= 1 else 100) * TIME_STEP:g}"
-        )
-    return steps
+        return count_physics_steps("control_period", self.control_period)

@@ -104,6 +104,7 @@ def test_device_renders_every_camera() -> None:
     for name in NAMES:
         own = {key: value.numpy()[1] for key, value in observations.items()}
         assert_on_surfaces(env, own, name)
+        assert envs.single_observation_space.contains(own)
         for key in ("depth", "segmentation", "rgb"):
             assert np.mean(np.abs(own[f"{name}_{key}"].astype(float) - expected[f"{name}_{key}"]) > 1.0) < 2e-3
         np.testing.assert_array_equal(own[f"{name}_point_counts"] > 0, expected[f"{name}_point_counts"] > 0)
@@ -194,11 +195,12 @@ def test_a_period_repeats_images() -> None:
         (("wrist", "back"), UnknownNameError, "unknown camera 'back'"),
         (("wrist", CAMERAS["wrist"]), OptionError, "different names"),
         ((7,), OptionError, "must be a CameraConfig"),
+        ((), OptionError, "cameras must not be empty with obs_mode='depth'"),
     ],
 )
 def test_wrong_cameras_are_refused(cameras: Any, error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
-        handover_marl.parallel_env(dataset="synthetic", cameras=cameras)
+        handover_marl.parallel_env(dataset="synthetic", cameras=cameras, obs_mode="depth")
     assert handover_marl.EvaluationConfig(cameras=iter(["wrist"])).cameras == ("wrist",)
 
 

@@ -24,7 +24,7 @@ class CameraNoise(CheckedConfig):
         edge_threshold: Depth difference of neighboring pixels that counts as an edge (m).
         edge_dropout: Share of the pixels beside depth edges that lose their depth, because only one of a stereo
             camera's two imagers sees the surface there. The share depends on the scene; 0.5 is an assumption.
-        latency: Age of an image when it arrives (s); the assumed 0.05 s are 1.5 frames at 30 Hz.
+        latency: Age of an image when it arrives (s, whole ms); the assumed 0.05 s are 1.5 frames at 30 Hz.
         pixel_stride: Distance between rows and columns that have depth: 2 simulates a camera of half the resolution.
 
     Raises:
@@ -34,7 +34,7 @@ class CameraNoise(CheckedConfig):
     depth_noise_std: float = bounded(0.0036, 0.0)
     edge_threshold: float = bounded(0.02, 0.0)
     edge_dropout: float = bounded(0.5, 0.0, 1.0)
-    latency: float = bounded(0.05, 0.0, 1.0)
+    latency: float = bounded(0.05, 0.0, 1.0, in_steps=True)
     pixel_stride: int = bounded(1, 1)
 
 

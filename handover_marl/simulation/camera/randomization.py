@@ -68,10 +68,9 @@ class CameraRandomization(CheckedConfig):
         gains = (1.0 + self.brightness * unit[9]) * (1.0 + self.color * unit[12:].reshape(len(SegmentationLabel), 3))
         if self.depth_noise_std or self.latency:
             base = noise or CameraNoise(depth_noise_std=0.0, edge_dropout=0.0, latency=0.0)
-            std, latency = np.array([self.depth_noise_std, self.latency]) * share
-            noise = replace(
-                base, depth_noise_std=base.depth_noise_std + float(std), latency=min(base.latency + float(latency), 1.0)
-            )
+            std, latency = (np.array([self.depth_noise_std, self.latency]) * share).tolist()
+            latency = round(min(base.latency + latency, 1.0), 3)  # whole physics steps
+            noise = replace(base, depth_noise_std=base.depth_noise_std + std, latency=latency)
         return CameraDraw(drawn, noise, gains if self.color or self.brightness else None)
 
 
