@@ -1,8 +1,10 @@
 """User-defined rewards: functions of a transition, combinations of rewards, and the check of their terms."""
 
 import copy
+import functools
+import inspect
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
@@ -76,6 +78,9 @@ def resolve_rewards(rewards: Any) -> Any:
             f"rewards must be one of {', '.join(REWARDS)}, RewardWeights, a function of a transition or module:name, "
             f"got {rewards!r}"
         )
+    if inspect.isfunction(rewards) and hasattr(rewards, "reset"):
+        name = rewards.__qualname__
+        raise OptionError(f"rewards with a reset must be of a class, got the function {name!r}; write a class")
     return rewards
 
 
@@ -92,8 +97,8 @@ def set_discount(rewards: RewardLike, discount: float) -> Any:
 class RewardSource:
     """Reward terms of both agents in n episodes; the terms of an agent must have different names.
 
-    The argument `rows` (r,) of methods has the indices of r episodes. Each episode has its own deep copy of a
-    user-defined function, or its own instance of a user-defined class, so that episodes share no attributes.
+    The argument `rows` (r,) of methods has the indices of r episodes. Each episode has its own instance of a class, or
+    its own deep copy of an instance, so that episodes share no attributes; they share plain functions.
 
     Args:
         rewards: Any value that `rewards` accepts.
@@ -110,8 +115,7 @@ class RewardSource:
             if isinstance(part, RewardWeights):
                 self._parts.append((weight, WeightedRewardSource(part, goal, count, arrays)))
             else:
-                functions = [part() if isinstance(part, type) else copy.deepcopy(part) for _ in range(count)]
-                self._parts.append((weight, CustomRewardSource(functions, arrays)))
+                self._parts.append((weight, CustomRewardSource(part, count, arrays)))
 
     def start(self, rows: AnyIndices, step: StepData) -> TermNames:
         """Start the episodes `rows` with their first states in `step`; return the names of the terms by agent."""
@@ -146,13 +150,14 @@ def _list_parts(rewards: RewardLike, weight: float = 1.0) -> list[tuple[float, A
 class CustomRewardSource:
     """Terms of a user-defined reward in n episodes; wrong names or values of terms raise `RewardError`.
 
-    `functions` has one function of a transition for each episode. A method `reset(transition)` of the function, if
-    there is one, is called at the start of the episode.
+    `reward` is a function of a transition, or a class of such functions. A method `reset(transition)` of the function,
+    if there is one, is called at the start of the episode.
     """
 
-    def __init__(self, functions: Sequence[CustomReward], arrays: ArrayFactory) -> None:
-        self._functions, self._arrays = functions, arrays
-        self._name = str(getattr(functions[0], "__qualname__", None) or type(functions[0]).__qualname__)
+    def __init__(self, reward: Any, count: int, arrays: ArrayFactory) -> None:
+        self._arrays, self._name = arrays, str(getattr(reward, "__qualname__", None) or type(reward).__qualname__)
+        make = reward if isinstance(reward, type) else functools.partial(copy.deepcopy, reward)
+        self._functions: list[CustomReward] = [self._run(make) for _ in range(count)]
         self._names: dict[str, list[str]] = {}
 
     def start(self, rows: AnyIndices, step: StepData) -> TermNames:
@@ -164,7 +169,7 @@ class CustomRewardSource:
                 self._run(reset, transition)
             if not self._names:
                 # A copy, so that this call leaves nothing in the function's memory.
-                terms = self._run(copy.deepcopy(function), transition)
+                terms = self._run(self._run(copy.deepcopy, function), transition)
                 self._check_agents(terms)
                 self._names = {agent: list(terms.get(agent, ())) for agent in AGENTS}
         return self._names
@@ -192,9 +197,9 @@ class CustomRewardSource:
             agent: {name: self._arrays.asarray(value) for name, value in own.items()} for agent, own in values.items()
         }
 
-    def _run(self, function: Callable[[Transition], Any], transition: Transition) -> Any:
+    def _run(self, function: Callable[..., Any], *arguments: Any) -> Any:
         try:
-            return function(transition)
+            return function(*arguments)
         except HandoverError:
             raise
         except (Exception, SystemExit) as error:  # code of the user
@@ -203,7 +208,8 @@ class CustomRewardSource:
     def _check_agents(self, terms: Any) -> None:
         """Check that a user-defined reward returned terms by agent and name."""
         is_by_agent = isinstance(terms, Mapping) and not terms.keys() - set(AGENTS)
-        if not is_by_agent or any(isinstance(own, str) or not hasattr(own, "__iter__") for own in terms.values()):
+        by_agent = list(terms.values()) if is_by_agent else [None]
+        if not all(isinstance(own, Mapping) and all(isinstance(name, str) for name in own) for own in by_agent):
             raise RewardError(
                 f"terms of reward {self._name!r} must be a dict for {' and '.join(AGENTS)}, got {terms!r}; return "
                 '{"receiver": {"name": value}, "giver": {}}'

@@ -15,6 +15,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
+import numpy as np
+
 from handover_marl.envs.agents import AGENTS
 from handover_marl.envs.transition import Transition
 from handover_marl.episode.referee import EpisodeStatus
@@ -56,7 +58,7 @@ class StepBatch:
 
     Attributes:
         states: Stored states (r, 4, 19) after the last four steps, the newest last; NaN before the start of an episode.
-            The columns are those of `WeightedRewardSource._summarize`.
+            The constants `_TIME` to `_OFFERED` are their columns.
         state: Whole state after the step, the arrays that `StepData.read_state` returns; {} if no term needs them.
         status: Bits (r,) of `EpisodeStatus` after the step.
         goal: (3,) position to which the gripper must bring the object, world frame (m).
@@ -184,8 +186,9 @@ _OUTCOMES, _FORCES = {"success", "contact", "drop"}, {"robot_object_force", "rob
 
 
 def is_finite_number(value: object) -> bool:
-    """Return whether a value is a finite int or float; True and False do not count as numbers."""
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    """Return whether a value is a finite real number; True and False do not count as numbers."""
+    numbers = (int, float, np.integer, np.floating)
+    return isinstance(value, numbers) and not isinstance(value, bool) and math.isfinite(value)
 
 
 @dataclass(frozen=True)
@@ -215,10 +218,11 @@ class RewardWeights:
                 check_name("reward term", name, TERMS)
                 if not is_finite_number(weight):
                     raise OptionError(f"weight of term {name!r} of the {agent} must be a finite number, got {weight!r}")
-            # A copy, which the caller does not change.
-            object.__setattr__(self, agent, dict(weights))
+            # Copies, which the caller does not change; numbers of NumPy cannot multiply tensors on a GPU.
+            object.__setattr__(self, agent, {name: float(weight) for name, weight in weights.items()})
         if not is_finite_number(self.gamma) or not 0.0 <= self.gamma <= 1.0:
             raise OptionError(f"gamma of RewardWeights must be a number from 0 to 1, got {self.gamma!r}")
+        object.__setattr__(self, "gamma", float(self.gamma))
 
 
 #: Reward 1 to both agents in the step that completes the handover.
@@ -280,11 +284,7 @@ class WeightedRewardSource:
         return {agent: {name: own[name] * values[name] for name in own} for agent, own in self._weights.items()}
 
     def _summarize(self, state: Mapping[str, AnyArray]) -> AnyArray:
-        """Convert a state, as `StepData.read_state` returns it, to the form (r, 19) of `StepBatch.states`, float64.
-
-        Columns: time (s), gripper pose (7), object position (3), whether the object is grasped, wrist position (3), its
-        displacement from the recording (3), and whether the object is held out.
-        """
+        """Convert a state, as `StepData.read_state` returns it, to the form (r, 19) of `StepBatch.states`, float64."""
         xp = self._xp
         columns = [
             state["time"],

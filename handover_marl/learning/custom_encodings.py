@@ -220,7 +220,7 @@ def _make_instances(kind: str, agent: str, choice: Any, context: PolicyContext, 
     if inspect.isfunction(choice) and hasattr(choice, "reset"):
         raise OptionError(f"{label} with a reset must be a class, got a function; write a class")
     if inspect.isabstract(choice):
-        missing = ", ".join(sorted(choice.__abstractmethods__))  # type: ignore[attr-defined]
+        missing = ", ".join(sorted(choice.__abstractmethods__))
         raise OptionError(f"{label} must define {missing}; add the missing methods")
     try:
         if not isinstance(choice, type):
@@ -236,7 +236,7 @@ def _check_vector(label: str, values: Any, size: int) -> Vector:
     if type(values) is not np.ndarray or values.shape != (size,) or values.dtype != np.float32:
         got = f"{values.dtype} {values.shape}" if isinstance(values, np.ndarray) else type(values).__name__
         raise EncodingError(
-            f"{label} must be a float32 array of shape {(size,)}, got {got}; convert it, or declare another size"
+            f"{label} must be a float32 array of shape {(size,)}, got {got}; convert with astype, or declare its size"
         )
     if not np.isfinite(values).all():
         bad = int(np.argmin(np.isfinite(values)))

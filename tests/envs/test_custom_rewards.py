@@ -1,7 +1,9 @@
 """Tests of user-defined rewards: their transitions, checks and reports of their terms, and combinations."""
 
 import dataclasses
+import functools
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -168,6 +170,8 @@ def test_memory_belongs_to_one_environment_and_one_episode(make: Make) -> None:
         (None, "terms of reward '.*Mine' must be a dict for giver and receiver, got None"),
         ({"robot": {"near": 0.0}}, "must be a dict for giver and receiver, got {'robot'"),
         ({"receiver": 1.0}, "must be a dict for giver and receiver, got {'receiver': 1.0}"),
+        ({"receiver": ["near"]}, "must be a dict for giver and receiver, got {'receiver'"),
+        ({"receiver": {1: 2.0}}, "must be a dict for giver and receiver, got {'receiver': {1"),
         ({"receiver": {"far": 0.0}}, "term 'far' of the receiver in reward '.*Mine' must be one of near"),
         ({"receiver": {"near": np.float32("inf")}}, "term 'near' of the receiver .* must be finite, got .*inf"),
         ({"receiver": {"near": np.zeros(1)}}, "term 'near' of the receiver .* must be a single number, got array"),
@@ -185,9 +189,12 @@ def test_wrong_terms_are_named(make: Make, result: Any, message: str) -> None:
 def test_failures_are_named_in_the_first_reset(make: Make) -> None:
     with pytest.raises(RewardError, match=r"failed \(SystemExit: 3\)"):
         make(lambda transition: sys.exit(3)).reset(seed=0)
+    for wrong in (functools.partial(approach, threading.Lock()), dataclasses.make_dataclass("NeedsScale", ["scale"])):
+        with pytest.raises(RewardError, match=r"reward '(partial|NeedsScale)' failed \(TypeError"):
+            make(wrong)
 
 
-def test_values_of_rewards() -> None:
+def test_values_of_rewards(monkeypatch: pytest.MonkeyPatch) -> None:
     assert resolve_rewards("sparse") is SPARSE
     assert resolve_rewards(f"{MODULE}:approach") is approach
     with pytest.raises(UnknownNameError, match="unknown rewards 'dense'; valid: sparse, shaped"):
@@ -196,6 +203,9 @@ def test_values_of_rewards() -> None:
         handover_marl.parallel_env(rewards=f"{MODULE}:nothing")
     with pytest.raises(OptionError, match=r"rewards must be one of sparse, shaped, .* got 3"):
         handover_marl.parallel_env(rewards=3)  # type: ignore[arg-type]
+    monkeypatch.setattr(approach, "reset", print, raising=False)
+    with pytest.raises(OptionError, match="got the function 'approach'; write a class"):
+        resolve_rewards(approach)
     for wrong in ((), (("a", "sparse"),), ((float("nan"), "sparse"),), ((True, "sparse"),), (3,)):
         with pytest.raises(OptionError):
             combine_rewards(*wrong)  # type: ignore[arg-type]

@@ -1,5 +1,6 @@
 """Tests of action schemes, which decode network outputs, and of custom schemes and features: forms and errors."""
 
+import threading
 from typing import Any
 
 import numpy as np
@@ -206,11 +207,16 @@ class Unmakable(OffsetAndCount):
         raise RuntimeError("no weights")
 
 
-def features_that(result: Any) -> Any:
+LOCKED = OffsetAndCount(CONTEXT)
+LOCKED.lock = threading.Lock()  # type: ignore[attr-defined]
+
+
+def features_that(result: Any, **attributes: Any) -> Any:
     @declare_size(2)
     def mine(observation: Any) -> Any:
         return result
 
+    vars(mine).update(attributes)
     return mine
 
 
@@ -262,6 +268,8 @@ def test_memory_of_own_scheme_functions_is_cleared() -> None:
         ),
         (SingleFeatures, "receiver", broken, r"features 'broken' failed \(KeyError: 'nothing'\)"),
         (SingleFeatures, "receiver", Unmakable, r"'Unmakable' cannot be made \(RuntimeError: no weights\)"),
+        (SingleFeatures, "receiver", LOCKED, r"'OffsetAndCount' cannot be made \(TypeError: cannot pickle"),
+        (SingleFeatures, "receiver", features_that(None, reset=print), "mine' with a reset must be a class, got"),
         (SingleFeatures, "receiver", len, "features 'len' must declare the number of features"),
         (SingleFeatures, "giver", OffsetAndCount, "'OffsetAndCount' must be for the giver, got some for the receiver"),
         (SingleFeatures, "receiver", "nothing", "features of the receiver 'nothing'; valid: receiver"),
