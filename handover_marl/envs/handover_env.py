@@ -59,38 +59,12 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
     for one control period (default 0.1 s). The rules are HandoverSim's (Chao et al., ICRA 2022) and are
     checked every physics step (1 ms), so that the last control step of an episode may be shorter.
 
-    Observation: a dictionary of arrays for each agent; world frame, m, rad, s, quaternions xyzw.
-        - receiver: the parts that `obs_mode` names, "state" (joints, gripper, objects and human hand) or camera
-          data; keys and shapes: `handover_marl.episode.observations.receiver_observation_space`.
-        - giver: the state, the recording's next half second and the current deviation; keys and
-          shapes: `handover_marl.episode.observations.giver_observation_space`.
-
-    Action: a float32 array for each agent.
-        - receiver: (9,) target joint positions, 7 arm joints (rad) and 2 fingers (m).
-        - giver: (8,) deviation from the recording: playback rate (1), wrist displacement (3, m), wrist
-          rotation vector (3, rad) and release (1); zeros replay the recording.
-
-    Reward: 1 to both agents in the step that completes the handover, else 0; or shaped, see
-        `handover_marl.envs.rewards`; or a user-defined function, see `handover_marl.envs.custom_rewards`.
-
-    Termination: success (the gripper holds the object at the goal for 0.1 s after the release), contact
-        of robot and person, or drop of the object.
-
-    Truncation: 13 s without termination, or `max_cycles` control steps.
-
-    Infos: a dictionary of numbers, and of matrices, for each agent, with the same keys from `reset` on.
-        - `scene_id`: number of the scene.
-        - `status`: bits of `handover_marl.EpisodeStatus`.
-        - `steps`: physics steps since the start.
-        - `release_step`: physics step in which the person released the object, or -1 before a release.
-        - `release_reason`: reason of the release, an index into `handover_marl.episode.referee.RELEASE_REASONS`, or -1.
-        - `CAMERA_K`, `CAMERA_extrinsics`: matrices of `camera_info` for each camera in the receiver's observation, e.g.
-          `wrist_K`; only the receiver's infos have them.
-        - `reward/...`: weighted terms of the agent's last reward; 0 after `reset`.
+    Observations and infos are dictionaries by key, and actions float32 arrays: target joint positions (9,) of the
+    receiver (rad, m), and a deviation (8,) from the recording of the giver, for which zeros replay the recording.
+    World frame, m, rad, s, quaternions xyzw. `docs/reference/environment.md` specifies observations, actions, rewards,
+    ends of episodes and infos.
 
     Copies and pickles are new environments with the same configuration and no running episode.
-
-    Version history: v0, initial.
 
     Args:
         config: Configuration; `parallel_env` makes it from its arguments.
@@ -104,10 +78,10 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         np_random: Random generator from which `reset` draws scenes.
 
     Raises:
-        UnknownNameError: There is no such setup, split, dataset, physics, robot, observation mode,
-            renderer or render mode.
+        UnknownNameError: There is no such setup, split, dataset, physics, robot, obs_mode, renderer or render_mode.
         SceneError: A scene is not in the split.
         DataNotFoundError: The data folder does not exist.
+        RewardError: A user-defined reward cannot be made or copied.
     """
 
     metadata: dict[str, Any] = {
@@ -184,6 +158,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
             Observations and infos by agent.
 
         Raises:
+            OptionError: The seed is negative or not an integer, or `options` is not a mapping.
             SceneError: The scene is not in the split.
             DataNotFoundError, DataFormatError: Files of the scene are missing or damaged.
             RewardError: A user-defined reward fails.
@@ -193,7 +168,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         # If anything fails below, no episode is running.
         self._end_episode()
         if seed is not None:
-            self.np_random, _ = seeding.np_random(seed)
+            self.np_random, _ = seeding.np_random(check_seed(seed))
         scene = self.dataset.load_scene(self.choose_scene(options, self.np_random))
         robot_seed, camera_seed = draw_seeds(self.np_random, self.config.world_config)
         self._episode.reset(scene, robot_seed)
@@ -399,6 +374,13 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
             "release_reason": -1 if episode.release_reason is None else RELEASE_REASONS.index(episode.release_reason),
         }
         return {GIVER: dict(info), RECEIVER: info | {key: matrix.copy() for key, matrix in self.calibration.items()}}
+
+
+def check_seed(seed: object) -> int:
+    """Return the seed of a reset as int; raise `OptionError` if it is not an integer from 0 on."""
+    if not isinstance(seed, (int, np.integer)) or seed < 0:
+        raise OptionError(f"seed must be an integer from 0 on or None, got {seed!r}")
+    return int(seed)
 
 
 def draw_seeds(rng: np.random.Generator, config: WorldConfig) -> tuple[int, int]:

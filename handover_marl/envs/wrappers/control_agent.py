@@ -5,7 +5,7 @@ from typing import Any
 from gymnasium.utils import EzPickle, seeding
 
 from handover_marl.envs.agents import AGENTS, GIVER, RECEIVER
-from handover_marl.envs.handover_env import HandoverEnv
+from handover_marl.envs.handover_env import HandoverEnv, check_seed
 from handover_marl.envs.wrappers.wrapper import Api, ByAgent, ParallelStep, ParallelWrapper, WrappableEnv, convert_api
 from handover_marl.errors import ActionError, OptionError, check_name
 from handover_marl.policies.reference import PolicyLike, parse_policy
@@ -56,7 +56,7 @@ class FixedPartnerEnv(ParallelWrapper):
         Arguments and result are as in `HandoverEnv.reset`, without the entries of the partner.
         """
         if seed is not None:
-            self._rng, _ = seeding.np_random(seed)
+            self._rng, _ = seeding.np_random(check_seed(seed))
         results = self.env.reset(seed=seed, options=options)
         self.unwrapped.set_partner(self.partner_agent, self.policy, int(self._rng.integers(2**32)))
         observations, infos = ({self.live_agent: by_agent[self.live_agent]} for by_agent in results)

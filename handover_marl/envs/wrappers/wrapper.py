@@ -9,7 +9,7 @@ import numpy.typing as npt
 from gymnasium.utils import EzPickle
 from pettingzoo.utils.wrappers import BaseParallelWrapper
 
-from handover_marl.envs.handover_env import HandoverEnv
+from handover_marl.envs.handover_env import HandoverEnv, check_seed
 from handover_marl.errors import OptionError, check_name
 from handover_marl.simulation.camera.optics import CameraInfo
 
@@ -102,7 +102,7 @@ class SingleAgentEnv(gymnasium.Env[Any, Any], EzPickle):
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Start an episode; return observation and info. `options={"scene_id": n}` chooses the scene."""
-        super().reset(seed=seed)
+        super().reset(seed=None if seed is None else check_seed(seed))
         observations, infos = self.env.reset(seed, options)
         return observations[self.agent], infos[self.agent]
 
