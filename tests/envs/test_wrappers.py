@@ -45,6 +45,23 @@ class Cost(BaseParallelWrapper):
         return {**observations, "receiver": shifted}
 
 
+class Limit(BaseParallelWrapper):
+    """Wrapper that truncates an episode after `limit` control steps; the last infos have their number, "length"."""
+
+    limit = 2
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> Any:
+        self.count = 0
+        return self.env.reset(seed=seed, options=options)
+
+    def step(self, actions: Any) -> Any:
+        self.count += 1
+        observations, rewards, ended, cut_off, infos = self.env.step(actions)
+        own = {"length": self.count} if self.count >= self.limit else {}
+        infos = {agent: info | own for agent, info in infos.items()}
+        return observations, rewards, ended, dict.fromkeys(cut_off, bool(own)), infos
+
+
 def make() -> HandoverEnv:
     return handover_marl.parallel_env(**OPTIONS)
 
@@ -83,6 +100,46 @@ def test_vector_environments_are_wrapped(physics: str, agent: str | None) -> Non
         own_rewards = rewards if agent else rewards["receiver"]
         assert own_rewards[1] == expected_rewards["receiver"] == -1.0
     envs.close()
+
+
+def test_wrappers_end_episodes_in_which_decisions_are_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("handover_marl.envs.wrappers.encode.MAX_EPISODES_WITHOUT_OUTPUTS", 2)
+    env = encode(control_agent(Limit(parallel_env(**SYNTHETIC)), "giver", "hold"), "giver", "offer")
+    with pytest.raises(OptionError, match=r"in 2 episodes in a row; .* max_cycles"):
+        env.reset(seed=0, options={"scene_id": 9})
+    monkeypatch.setattr(Limit, "limit", 30)
+    env.reset(seed=0, options={"scene_id": 9})
+    *_, cut_off, infos = env.step({"giver": np.zeros(7)})
+    assert (cut_off["giver"], infos["giver"]["steps"]) == (True, 3000)
+
+
+@pytest.mark.parametrize("autoreset", ["next_step", "same_step"])
+def test_infos_that_some_steps_lack_have_masks(autoreset: str) -> None:
+    envs = handover_marl.vector_env(2, None, wrappers=[Limit], autoreset=autoreset, **OPTIONS)
+    still = {"giver": np.zeros((2, 8)), "receiver": np.zeros((2, 9))}
+    envs.reset(seed=0)
+    envs.step(still)
+    envs.reset(options={"reset_mask": np.array([False, True])})
+    for has_ended in ([True, False], [False, True]):
+        info = envs.step(still).infos["giver"]
+        if autoreset == "same_step":
+            assert not info["_length"].any()
+            info = info["final_info"]
+        np.testing.assert_array_equal(info["length"], np.multiply(has_ended, 2))
+        np.testing.assert_array_equal(info["_length"], has_ended)
+    envs.close()
+
+
+def test_actions_are_ignored_in_the_step_of_a_reset() -> None:
+    envs = handover_marl.vector_env(2, None, wrappers=[Limit], **OPTIONS)
+    envs.reset(seed=0)
+    for number in (0.0, 0.0, np.nan):
+        result = envs.step({"giver": np.full((2, 8), number), "receiver": np.full((2, 9), number)})
+    assert not np.shares_memory(result.terminated["giver"], result.truncated["giver"])
+    assert not result.infos["giver"]["steps"].any()
+    envs.close()
+    with pytest.raises(ResetNeededError, match="the vector environment is closed"):
+        envs.render()
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from handover_marl.episode.episode_batch import EpisodeBatch
 from handover_marl.episode.loop import derive_giver_seed, derive_receiver_seed
 from handover_marl.episode.observations import Observation, select_receiver_observation
 from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.episode.spaces import STATE
+from handover_marl.episode.spaces import has_camera
 from handover_marl.episode.warp_sensors import WarpSensors
 from handover_marl.geometry.arrays import AnyArray, AnyIndices, Indices, to_numpy
 from handover_marl.learning.action_scheme import ArrayScheme
@@ -77,7 +77,7 @@ class EncodedEpisodeBatch:
                 self._schemes[agent] = make_array_scheme(agent, scheme, context, selector, count, arrays)
         self._camera: WarpSensors | None = None
         is_camera_used = RECEIVER not in self._features or self._features[RECEIVER].uses_camera
-        if config.obs_mode != STATE and RECEIVER in self._agents and is_camera_used:
+        if has_camera(config.obs_mode) and RECEIVER in self._agents and is_camera_used:
             self._camera = WarpSensors(config.obs_mode, config.sensors, config.world_config.physics, count, arrays)
 
     def start(self, row: int, scene: Scene, seed: int | None, robot_seed: int, camera_seed: int) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium.vector.utils import concatenate, create_empty_array
 from loky.backend import get_context
 
-from handover_marl.envs.vector.env_result import EnvGroup, EnvResult, merge_results, select_rows
+from handover_marl.envs.vector.env_result import EnvGroup, EnvResult, merge_results, merge_values, select_rows
 from handover_marl.envs.wrappers.wrapper import ByAgent, WrappableEnv
 from handover_marl.errors import WorkerError
 from handover_marl.execution.tasks import convert_error, pickle_by_value, unpickle
@@ -34,9 +34,8 @@ class SequentialEnvGroup:
         ]
         observations, infos = zip(*starts, strict=True)
         agents, count = list(observations[0]), len(rows)
-        flags = {agent: np.zeros(count, dtype=bool) for agent in agents}
-        rewards = {agent: np.zeros(count) for agent in agents}
-        return EnvResult(self._stack(observations), rewards, flags, flags, _stack_infos(infos))
+        zeros = [{agent: np.zeros(count, dtype) for agent in agents} for dtype in (float, bool, bool)]
+        return EnvResult(self._stack(observations), zeros[0], zeros[1], zeros[2], _stack_infos(infos))
 
     def step(self, rows: Indices, actions: ByAgent) -> EnvResult:
         """Step the environments `rows` (r,) with actions (r, ...) by agent; see `EnvGroup.step`."""
@@ -69,9 +68,9 @@ class SequentialEnvGroup:
 
 
 def _stack_infos(infos: Sequence[ByAgent]) -> ByAgent:
-    return {
-        agent: {key: np.array([info[agent][key] for info in infos]) for key in infos[0][agent]} for agent in infos[0]
-    }
+    parts = ({agent: {key: np.array([info[key]]) for key in info} for agent, info in one.items()} for one in infos)
+    stacked: ByAgent = merge_values(len(infos), [(np.array([row]), part) for row, part in enumerate(parts)])
+    return stacked
 
 
 class ThreadedEnvGroup:

@@ -31,7 +31,7 @@ class EnvResult(NamedTuple):
         rewards: Rewards; zeros after a reset.
         terminated: Whether each episode has terminated.
         truncated: Whether each episode was truncated.
-        infos: Infos: dictionaries of arrays.
+        infos: Infos: dictionaries of arrays. A key that some environments lack has zeros there, and a mask `_KEY`.
     """
 
     observations: ByAgent
@@ -53,7 +53,7 @@ def merge_results(count: int, row_results: Sequence[tuple[Indices, EnvResult]]) 
     if len(row_results) == 1 and len(row_results[0][0]) == count:
         return row_results[0][1]
     placed = [(move_to_device(rows, result.rewards), result) for rows, result in row_results]
-    return EnvResult(*(_merge(count, [(rows, result[k]) for rows, result in placed]) for k in range(5)))
+    return EnvResult(*(merge_values(count, [(rows, result[k]) for rows, result in placed]) for k in range(5)))
 
 
 def select_rows(values: Any, rows: Indices | int) -> Any:
@@ -76,27 +76,45 @@ def move_to_device(array: npt.NDArray[Any], values: Any) -> AnyArray:
     return get_namespace(like).asarray(array, device=like.device)
 
 
-def _merge(count: int, row_values: list[tuple[AnyArray, Any]]) -> Any:
-    first = row_values[0][1]
+def merge_values(count: int, row_values: Sequence[tuple[AnyArray, Any]]) -> Any:
+    """Merge pairs (row indices, nested dictionaries and tuples of arrays) into arrays of `count` rows.
+
+    Dictionaries may differ in their keys; see the attribute `infos` of `EnvResult`.
+    """
+    first = next(values for _, values in row_values if values is not None)
     if isinstance(first, Mapping):
-        return {key: _merge(count, [(rows, values[key]) for rows, values in row_values]) for key in first}
+        if any(values.keys() != first.keys() for _, values in row_values):
+            # Only infos of single environments differ, which are NumPy arrays.
+            row_values = [(rows, _mark(values, np.ones(len(rows), dtype=bool))) for rows, values in row_values]
+        keys = dict.fromkeys(key for _, values in row_values for key in values)
+        return {key: merge_values(count, [(rows, values.get(key)) for rows, values in row_values]) for key in keys}
     if isinstance(first, tuple):
-        return tuple(_merge(count, [(rows, values[k]) for rows, values in row_values]) for k in range(len(first)))
+        return tuple(merge_values(count, [(rows, part[k]) for rows, part in row_values]) for k in range(len(first)))
     xp, shape = get_namespace(first), (count, *first.shape[1:])
-    dtype = xp.result_type(*(values.dtype for _, values in row_values))
-    merged = xp.empty(shape, dtype=dtype, device=first.device)
+    dtype = xp.result_type(*(values.dtype for _, values in row_values if values is not None))
+    merged = xp.zeros(shape, dtype=dtype, device=first.device)
     for rows, values in row_values:
-        merged[rows] = xp.astype(values, dtype, copy=False)
+        merged[rows] = xp.zeros_like(merged[rows]) if values is None else xp.astype(values, dtype, copy=False)
     return merged
+
+
+def _mark(infos: Mapping[str, AnyArray], every: Flags) -> dict[str, AnyArray]:
+    """Return infos (r, ...) with a mask for each key; that of keys without a mask is `every` (r,)."""
+    return {f"_{key}": every for key in infos if not _is_mask(key, infos)} | dict(infos)
+
+
+def _is_mask(key: str, infos: Mapping[str, AnyArray]) -> bool:
+    return key[:1] == "_" and key[1:] in infos
 
 
 def mask_infos(infos: Mapping[str, AnyArray], mask: Flags, arrays: ArrayFactory) -> dict[str, AnyArray]:
     """Return infos (n, ...) in Gymnasium's form: KEY with zeros outside `mask` (n,), and `_KEY` with the mask."""
     masked, xp, chosen, is_complete = {}, arrays.xp, arrays.asarray(mask), mask.all()
-    for key, values in infos.items():
+    for key in [key for key in infos if not _is_mask(key, infos)]:
+        values, has_key = infos[key], chosen & infos.get(f"_{key}", True)
         own = xp.reshape(chosen, (-1, *[1] * (values.ndim - 1)))
         masked[key] = xp.asarray(values, copy=True) if is_complete else xp.where(own, values, xp.zeros_like(values))
-        masked[f"_{key}"] = xp.asarray(chosen, copy=True)
+        masked[f"_{key}"] = xp.asarray(has_key, copy=True)
     return masked
 
 
@@ -146,9 +164,12 @@ class EnvGroup(Protocol):
 
 
 def check_action_array(
-    actions: Any, space: spaces.Space[Any], count: int, agent: str, arrays: ArrayFactory = NUMPY_ARRAYS
+    actions: Any, space: spaces.Space[Any], count: int, agent: str, arrays: ArrayFactory = NUMPY_ARRAYS, idle: Any = ()
 ) -> AnyArray:
-    """Return an agent's actions (count, ...) as float32 in the form of `arrays`; raise ActionError if malformed."""
+    """Return an agent's actions (count, ...) as float32 in the form of `arrays`; raise ActionError if malformed.
+
+    The numbers in rows with the indices `idle` need not be finite.
+    """
     shape = (count, *(space.shape or ()))
     if is_tensor(actions) and arrays is not NUMPY_ARRAYS:
         is_number = arrays.xp.isdtype(actions.dtype, ("integral", "real floating"))
@@ -169,7 +190,6 @@ def check_action_array(
         values = arrays.asarray(xp.astype(values, xp.float32))
     xp = arrays.xp
     if not xp.all(xp.isfinite(values)):
-        rows = to_numpy(values).reshape(count, -1)
-        row = rows[~np.isfinite(rows).all(axis=1)][0]
-        check_vector(f"action of the {agent}", row, len(row), "elements of its action space")
+        for row in np.delete(to_numpy(values).reshape(count, -1), idle, axis=0):
+            check_vector(f"action of the {agent}", row, len(row), "elements of its action space")
     return values

@@ -156,12 +156,12 @@ class ParallelVectorEnv:
                 raise ResetNeededError("no episode is running; call reset() before step()")
             if not isinstance(actions, dict) or actions.keys() != set(self.possible_agents):
                 raise ActionError(f"actions must be a dict of arrays for {' and '.join(self.possible_agents)}")
+            waiting, running = np.flatnonzero(self._ended), np.flatnonzero(~self._ended)
             checked = {
-                agent: check_action_array(values, self.single_action_space(agent), count, agent, arrays)
+                agent: check_action_array(values, self.single_action_space(agent), count, agent, arrays, waiting)
                 for agent, values in actions.items()
             }
             self._is_running = False
-            waiting, running = np.flatnonzero(self._ended), np.flatnonzero(~self._ended)
             row_results = []
             if len(waiting):
                 row_results.append((waiting, self._envs.reset(waiting, [None] * len(waiting), None)))
@@ -193,7 +193,8 @@ class ParallelVectorEnv:
 
     def render(self) -> tuple[Any, ...] | None:
         """Return the RGB image (height, width, 3) of each environment; None unless `render_mode` is "rgb_array"."""
-        images = self._envs.render()
+        with self._use_envs():
+            images = self._envs.render()
         return None if images is None else tuple(images)
 
     def close(self) -> None:

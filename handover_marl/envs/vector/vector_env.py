@@ -20,7 +20,7 @@ from handover_marl.envs.vector.parallel_vector_env import ParallelVectorEnv
 from handover_marl.envs.wrappers.control_agent import FixedPartnerEnv, control_agent
 from handover_marl.envs.wrappers.encode import EncodedEnv, encode
 from handover_marl.envs.wrappers.wrapper import WrappableEnv, check_env, list_wrappers
-from handover_marl.episode.spaces import FULL_POINTCLOUD, STATE, parse_obs_mode
+from handover_marl.episode.spaces import FULL_POINTCLOUD, has_camera, parse_obs_mode
 from handover_marl.errors import HandoverError, OptionError, check_name
 from handover_marl.execution.options import check_positive_integer, count_available_cores, forward_signature
 from handover_marl.learning.custom_encodings import FeaturesLike, SchemeLike, is_reference
@@ -148,12 +148,10 @@ def vector_env(
             by agent for both agents.
         action_scheme: Action scheme whose outputs replace actions, a name, class or function as in `encode`; a
             mapping by agent for both agents.
-        wrappers: Functions or classes that wrap each environment by a
-            `pettingzoo.utils.BaseParallelWrapper`, the innermost first; the wrapped environment has both
-            agents, and their observations and actions are as the environment defines them. The backend
-            "warp" accepts no wrappers.
-        autoreset: Gymnasium's mode of the reset after an episode's end: "next_step", "same_step" or
-            "disabled".
+        wrappers: Functions or classes that wrap each environment by a `pettingzoo.utils.BaseParallelWrapper`, the
+            innermost first; the wrapped environment has both agents, and their observations and actions are as the
+            environment defines them. The backend "warp" accepts no wrappers.
+        autoreset: Gymnasium's mode of the reset after an episode's end: "next_step", "same_step" or "disabled".
         threads: Number of simulation threads, instead of `processes`; default: one per core.
         processes: Number of processes that simulate the environments, each with one thread; default: none,
             the simulation runs in this process. On several cores, processes are faster than threads, but each
@@ -263,8 +261,9 @@ def _find_obstacle(template: WrappableEnv, backend: str) -> str:
     ]
     for env in wrappers:
         if isinstance(env, FixedPartnerEnv):
-            conditions.append((env.policy.obs_mode == STATE, f"a partner without a camera, got {env.policy.name!r}"))
-    if config.obs_mode != STATE:
+            is_blind = not has_camera(env.policy.obs_mode)
+            conditions.append((is_blind, f"a partner without a camera, got {env.policy.name!r}"))
+    if has_camera(config.obs_mode):
         conditions += [
             (backend == WARP, f"obs_mode='state', got {config.obs_mode!r}"),
             (

@@ -98,7 +98,7 @@ class EncodedEnv(ParallelWrapper):
             features_name = self._features[agent].name if agent in self._features else OBSERVATION
             outputs.encoding = {"agent": agent, "features": features_name, "actions": self._schemes[agent].name}
         self._observations: dict[str, Observation] = {}
-        self._has_skipped = False
+        self._has_skipped = self._has_ended = False
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
         """Return the space of the agent's feature vector; with the features "observation", that of its observation."""
@@ -133,9 +133,10 @@ class EncodedEnv(ParallelWrapper):
                 scheme.reset(0)
             for features in self._features.values():
                 features.reset(0)
+            self._has_ended = False
             while self._can_skip():
                 self._observations, _, _, _, infos = self._advance()
-            if self.agents:
+            if self.agents and not self._has_ended:
                 for info in infos.values():
                     info.update({key: 0.0 for key in info if key.startswith(REWARD_PREFIX)})
                 return self._compute_features(), infos
@@ -190,6 +191,8 @@ class EncodedEnv(ParallelWrapper):
             for agent, scheme in self._schemes.items()
         }
         step: ParallelStep = self.env.step(actions)
+        # A wrapper inside may have ended an episode that goes on in the environment.
+        self._has_ended = any(flag for ends in step[2:4] for flag in ends.values())
         return step
 
     def _needs_outputs(self, agent: str) -> bool:
@@ -197,7 +200,8 @@ class EncodedEnv(ParallelWrapper):
 
     def _can_skip(self) -> bool:
         """Return whether the next control period of the only agent's running episode needs no outputs."""
-        return len(self.possible_agents) == 1 and bool(self.agents) and not self._needs_outputs(self.agents[0])
+        is_running = len(self.possible_agents) == 1 and bool(self.agents) and not self._has_ended
+        return is_running and not self._needs_outputs(self.agents[0])
 
 
 def encode(
@@ -217,10 +221,9 @@ def encode(
             with `declare_size`, or text `module:name`; or "observation" for unchanged observations, such as images. A
             mapping by agent if `env` has two agents. Default: "giver" for the giver and "receiver" for the receiver.
         action_scheme: Name of a built-in action scheme; or a user-defined scheme: a subclass of `ActionScheme`, a
-            function with `declare_size`, or text `module:name`. A mapping by agent if `env` has two
-            agents. Default: "deviation" for the giver and "cartesian_delta" for the receiver.
-        api: "parallel" for a PettingZoo environment, "gymnasium" for a Gymnasium environment, which
-            has one agent.
+            function with `declare_size`, or text `module:name`. A mapping by agent if `env` has two agents. Default:
+            "deviation" for the giver and "cartesian_delta" for the receiver.
+        api: "parallel" for a PettingZoo environment, "gymnasium" for a Gymnasium environment, which has one agent.
 
     Raises:
         UnknownNameError: There are no such features, no such scheme or API.
@@ -235,7 +238,7 @@ def make_no_outputs_error(agent: str) -> OptionError:
     """Return the error for an agent whose action scheme needed no outputs in many episodes in a row."""
     return OptionError(
         f"no outputs of the {agent} were needed in {MAX_EPISODES_WITHOUT_OUTPUTS} episodes in a row; choose another "
-        "partner or action scheme"
+        "partner or action scheme, or a larger max_cycles"
     )
 
 

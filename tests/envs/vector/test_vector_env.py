@@ -15,6 +15,7 @@ import pytest
 import handover_marl
 from handover_marl.config import WorldConfig
 from handover_marl.envs.vector.batched_envs import EncodedEpisodeBatch
+from handover_marl.envs.vector.env_groups import SequentialEnvGroup
 from handover_marl.envs.vector.vector_env import HandoverVectorEnv
 from handover_marl.envs.wrappers.control_agent import control_agent
 from handover_marl.envs.wrappers.wrapper import SingleAgentEnv
@@ -355,7 +356,8 @@ def test_what_cannot_be_is_refused(both: Callable[..., Any]) -> None:
     ):
         with pytest.raises(error, match=message):
             handover_marl.vector_env(**{**OPTIONS, **options})
-    batch = both()
+    batch = both(obs_mode="state+state")
+    assert not isinstance(batch._envs, SequentialEnvGroup), "a mode without cameras"
     with pytest.raises(ResetNeededError):
         batch.step({})
     batch.reset(seed=0)
