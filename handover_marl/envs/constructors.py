@@ -40,10 +40,8 @@ def single_agent_env(
     """Make a Gymnasium environment of one agent, in which a fixed policy acts for the other agent.
 
     Args:
-        agent: Agent that is controlled from outside, "receiver" for the robot or "giver" for the
-            person.
-        partner: Policy of the other agent, which is not controlled from outside; default: "replay" for
-            a giver, "yang2021" for a receiver.
+        agent: Agent that is controlled from outside, "receiver" for the robot or "giver" for the person.
+        partner: Policy of the other agent; default: "replay" for a giver, "yang2021" for a receiver.
         trust: Whether modules that a policy file or a population names may be imported.
         fields: Fields of `handover_marl.envs.config.EnvConfig`.
     """

@@ -24,20 +24,16 @@ class Transition:
     innermost environment, without the changes by wrappers, features and action schemes.
 
     Attributes:
-        observations: Observation before the step, by agent ("giver", "receiver"); elements of the
-            observation spaces. The receiver's depends on `obs_mode`; the giver's always contains the
-            full state, see `state`.
+        observations: Observation before the step, by agent ("giver", "receiver"); elements of the observation spaces.
+            The receiver's depends on `obs_mode`; the giver's always contains the full state, see `state`.
         next_observations: Observation after the step, by agent.
         actions: Action by agent at the start of the step: giver (8,), clipped to its bounds; receiver (9,)
             target joint positions (rad, m); float32. A fixed partner may act again within the step.
         infos: Infos after the step by agent, without reward terms: `scene_id`, `status`, `steps` (physics steps of
             1 ms), `release_step` and `release_reason`; for a receiver with cameras also their matrices.
-        contacts: Contacts of robot, object and human hand in the last physics step (1 ms) of the
-            control step; forces in N.
-        status: Status of the episode after the step, e.g. `EpisodeStatus.SUCCESS`; `RUNNING` (no bit)
-            while the episode goes on.
-        duration: Simulated time of the step (s): the control period, or less in the last step of an
-            episode.
+        contacts: Contacts of robot, object and human hand in the last physics step (1 ms) of the step; forces in N.
+        status: Status of the episode after the step, e.g. `EpisodeStatus.SUCCESS`; `RUNNING` (no bit) until its end.
+        duration: Simulated time of the step (s): the control period, or less in the last step of an episode.
         step: Number of the control step in the episode; 0 for the first.
         terminated: Whether the episode has ended by success, contact or drop.
         truncated: Whether the episode was cut off by the time limit or `max_cycles`.
@@ -73,8 +69,7 @@ class Transition:
 class TransitionRecorder:
     """Recorder that makes the transition of each control step from the observations before and after it.
 
-    Args:
-        control_period: Time for which an action holds (s).
+    `control_period` is the time for which an action holds (s).
     """
 
     def __init__(self, control_period: float) -> None:

@@ -69,28 +69,9 @@ def camera_observation_space(
 ) -> dict[str, spaces.Space[Any]]:
     """Return the spaces of the camera data that an observation mode includes, by key.
 
-    The table is for the camera "wrist" with h x w = 224 x 224 and n = 50176 pixels; keys of another camera start with
-    its name. Points are in the frame of the link that carries the camera, the Panda's hand link for "wrist"; points of
-    a camera without a link are in the world frame. The target object is the one that is handed over.
-
-    | data | key | shape | meaning |
-    |---|---|---|---|
-    | pointcloud | wrist_object_points | (1024, 3) float32 | points of the target object, link's frame, m |
-    | pointcloud | wrist_hand_points | (1024, 3) float32 | points of the human hand, link's frame, m |
-    | pointcloud | wrist_point_counts | (2,) float32 | number of pixels on object and hand |
-    | scene_pointcloud | wrist_other_points | (1024, 3) float32 | points of the other objects, link's frame, m |
-    | scene_pointcloud | wrist_point_counts | (3,) float32 | number of pixels on target, hand and other objects |
-    | depth | wrist_depth | (224, 224, 1) float32 | depth along the viewing axis, m |
-    | segmentation | wrist_segmentation | (224, 224, 1) uint8 | values of `SegmentationLabel` |
-    | rgb | wrist_rgb | (224, 224, 3) uint8 | colors |
-    | full_pointcloud | wrist_object_cloud | (50176, 3) float32 | all points of the object, in image order |
-    | full_pointcloud | wrist_hand_cloud | (50176, 3) float32 | all points of the human hand, in image order |
-    | full_pointcloud | wrist_point_counts | (2,) float32 | number of pixels on object and hand |
-    | full_pointcloud | robot_joint_position_exact | (9,) float64 | robot joints before rounding to float32 |
-    | point_map | wrist_point_map | (224, 224, 3) float32 | points of all pixels, link's frame, m |
-
-    "scene_pointcloud" has the clouds of "pointcloud", too; "rgbd" is "rgb+depth". Clouds of more than
-    1024 points are subsampled without replacement, shorter ones padded with zeros; full clouds are padded, too. A
+    docs/reference/environment.md lists the keys of the camera "wrist"; keys of another camera start with its name.
+    Points are in the frame of the link that carries the camera, or in the world frame without a link. Clouds of more
+    than 1024 points are subsampled without replacement, shorter ones padded with zeros; full clouds are padded, too. A
     camera with latency shows earlier images; their points are in the link's current frame.
     "full_pointcloud" is for methods that subsample the points themselves and need unrounded joints, as HandoverSim's
     scripts for GA-DDPG do.

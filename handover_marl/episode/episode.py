@@ -13,7 +13,7 @@ from handover_marl.episode.camera_observations import (
     CameraSensor,
     SensorConfig,
 )
-from handover_marl.episode.giver_motion import NO_DEVIATION, PLANNED_STEPS, GiverMotion, requests_release
+from handover_marl.episode.giver_motion import NO_DEVIATION, GiverMotion, requests_release
 from handover_marl.episode.observations import Observation, observe, observe_giver_motion, select_receiver_observation
 from handover_marl.episode.referee import EpisodeStatus, Referee, RefereeState, ReleaseReason, make_judge
 from handover_marl.episode.spaces import STATE, has_camera
@@ -104,15 +104,11 @@ class Episode:
             if is_requested and motion.holding[0] and not referee.released:
                 referee.release_voluntarily()
                 world.release_target()
-            planned = min(steps, PLANNED_STEPS)
             is_opening = referee.release_reason is ReleaseReason.VOLUNTARY
             flags = np.array([referee.released]), np.array([is_opening])
-            plan = motion.plan(ONLY_ROW, planned, giver_action[None], *flags)
-            if is_requested and 0 < (until := int(motion.count_steps_until_pick_up(plan)[0])) < planned:
-                # The release takes effect when the object is picked up, however the steps are divided.
-                planned = until
-                plan = motion.plan(ONLY_ROW, planned, giver_action[None], *flags)
+            plan = motion.plan_until_release(ONLY_ROW, steps, giver_action[None], *flags)
             world.set_reference(plan.reference.select(0, n_objects))
+            planned = plan.steps
             steps -= planned
             simulated = None if on_step or sensors else self._simulate_rollout(world, target, planned)
             if simulated is None:

@@ -2,7 +2,7 @@
 
 from handover_marl.config import TIME_STEP, WorldConfig
 from handover_marl.datasets.dataset import Scene
-from handover_marl.episode.giver_motion import PLANNED_STEPS, GiverMotion, requests_release
+from handover_marl.episode.giver_motion import GiverMotion, requests_release
 from handover_marl.episode.observations import Observation, observe_giver_motion, state_space
 from handover_marl.episode.referee import RELEASE_REASONS, Referee, RefereeState, ReleaseReason, make_judge
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, make_tensor_factory
@@ -80,20 +80,14 @@ class EpisodeBatch:
         """
         referees, rules, motion = self.referees, self.config.protocol, self.motion
         while steps > 0 and len(rows):
-            requested = requests_release(giver_actions)
-            held = rows[requested & motion.holding[rows]]
+            held = rows[requests_release(giver_actions) & motion.holding[rows]]
             held = held[referees.release_reason[held] < 0]
             referees.release_reason[held], referees.release_step[held] = _VOLUNTARY, referees.steps[held]
             self._worlds.release_targets(held)
-            states, planned = referees.select_rows(rows), min(steps, PLANNED_STEPS)
+            states = referees.select_rows(rows)
             reasons = states.release_reason
-            plan = motion.plan(rows, planned, giver_actions, reasons >= 0, reasons == _VOLUNTARY)
-            # Releases take effect when the object is picked up, however the steps are divided.
-            until = motion.count_steps_until_pick_up(plan)[requested]
-            if len(until := until[(until > 0) & (until < planned)]):
-                planned = int(until.min())
-                plan = motion.plan(rows, planned, giver_actions, reasons >= 0, reasons == _VOLUNTARY)
-            steps -= planned
+            plan = motion.plan_until_release(rows, steps, giver_actions, reasons >= 0, reasons == _VOLUNTARY)
+            steps -= plan.steps
             judge = make_judge(states, rules)
             self.motion.commit(plan, self._worlds.rollout(rows, plan.reference, robot_targets, judge, rules))
             referees.assign_rows(rows, states)

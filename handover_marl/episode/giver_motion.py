@@ -156,6 +156,11 @@ class PlannedMotion:
     reference: ReferenceMotion
     states: GiverState
 
+    @property
+    def steps(self) -> int:
+        """Number k of physics steps."""
+        return int(self.states.frame.shape[1])
+
 
 class GiverMotion:
     """Playback of one recording for each of n givers, with the deviations that their actions set.
@@ -273,10 +278,17 @@ class GiverMotion:
         )
         return PlannedMotion(rows, reference, states)
 
-    def count_steps_until_pick_up(self, motion: PlannedMotion) -> AnyIntegers:
-        """Count, for each giver, the planned steps (r,) that start before it picks up the object."""
-        rows = motion.rows
-        return count_steps_until_pick_up(self._pick_up[rows], self.state.frame[rows], motion.states.frame)
+    def plan_until_release(self, rows: AnyIndices, steps: int, actions: AnyArray, *flags: AnyArray) -> PlannedMotion:
+        """Return the motion of at most `steps` and 200 physics steps; arguments as for `plan`.
+
+        Requested releases take effect when the object is picked up, however steps are divided: the motion ends there.
+        """
+        motion = self.plan(rows, min(steps, PLANNED_STEPS), actions, *flags)
+        if _is_any_set(is_requested := requests_release(actions)):
+            until = count_steps_until_pick_up(self._pick_up[rows], self.state.frame[rows], motion.states.frame)
+            if len(until := until[is_requested & (until > 0) & (until < motion.steps)]):
+                return self.plan(rows, int(until.min()), actions, *flags)
+        return motion
 
     def commit(self, motion: PlannedMotion, steps: AnyIntegers) -> None:
         """Advance the playback by the planned steps that were simulated.

@@ -35,24 +35,10 @@ _POSE = 7
 
 
 def state_space(largest_class: int = LARGEST_YCB_CLASS) -> spaces.Dict:
-    """Return the space of the full state, which both agents share.
+    """Return the space of the full state, which both agents share; its keys: docs/reference/environment.md.
 
     Args:
         largest_class: Largest class number of objects, 21 for YCB classes.
-
-    | key | shape | meaning (world frame; m, rad, s; quaternions xyzw) |
-    |---|---|---|
-    | robot_joint_position | (9,) | seven arm joints, two fingers |
-    | robot_joint_velocity | (9,) | velocities of these joints |
-    | gripper_pose | (7,) | pose of the Panda's hand link |
-    | object_poses | (5, 7) | poses of the objects, the one that is handed over first; zeros for no object |
-    | object_mask | (5,) | 1 for an object, 0 for none |
-    | object_classes | (5,) | class number, 1-21 for YCB classes, from 22 on for others; 0 for no object |
-    | hand_dof_position | (51,) | base and finger joints of the human hand; zeros without a hand |
-    | hand_keypoints | (16, 3) | origins of the wrist and 15 finger joints; zeros without a hand |
-    | hand_present | (1,) | 1 with a hand, 0 without |
-    | released | (1,) | 1 after the person has released the object |
-    | time | (1,) | time since the start of the episode |
     """
     return spaces.Dict(
         {
@@ -90,18 +76,11 @@ def receiver_observation_space(
 def giver_observation_space(
     config: GiverConfig = OFFICIAL_CONFIG.giver, largest_class: int = LARGEST_YCB_CLASS
 ) -> spaces.Dict:
-    """Return the giver's observation space: the full state and the keys of this table.
+    """Return the giver's observation space: the full state and more; its keys: docs/reference/environment.md.
 
     Args:
-        config: Limits of the giver, with the preview times that the table mentions.
+        config: Limits of the giver, with the preview times of recorded poses.
         largest_class: Largest class number of objects, 21 for YCB classes.
-
-    | key | shape | meaning (world frame; m, rad; quaternions xyzw) |
-    |---|---|---|
-    | replay_wrist_poses | (5, 7) | recorded wrist poses 0.1 to 0.5 s ahead; zeros without a hand |
-    | replay_object_poses | (5, 7) | recorded poses of the object that is handed over at these times |
-    | deviation | (7,) | current playback rate minus 1, wrist displacement and rotation vector |
-    | holding | (1,) | 1 after the object has been picked up, when displacements take effect |
     """
     ahead = len(config.preview)
     return spaces.Dict(

@@ -53,17 +53,10 @@ def receiver_action_space() -> spaces.Box:
 
 
 def giver_action_space(config: GiverConfig = OFFICIAL_CONFIG.giver) -> spaces.Box:
-    """Return the giver's action space, deviations from a recording; zeros replay the recording.
+    """Return the giver's action space, deviations from a recording; its components: docs/reference/environment.md.
 
-    | components | meaning | default bounds |
-    |---|---|---|
-    | 0 | playback rate minus 1: -1 pauses, 1 doubles the speed | -1 to 1 |
-    | 1-3 | set-point of the wrist's displacement from the recording, world frame (m) | -0.3 to 0.3 |
-    | 4-6 | set-point of the rotation vector about the wrist, world frame (rad) | -1 to 1 |
-    | 7 | release the object if above 0.5 | 0 to 1 |
-
-    Actions beyond the bounds are clipped. Set-points are approached with limited speed and take effect
-    once the object has been picked up; see `handover_marl.config.GiverConfig`.
+    Zeros replay the recording. Actions beyond the bounds are clipped. Set points are approached with limited speed and
+    take effect once the object has been picked up; see `handover_marl.config.GiverConfig`.
     """
     high = np.array([1.0, *[config.displacement] * 3, *[config.rotation] * 3, 1.0], dtype=np.float32)
     low = -high

@@ -11,7 +11,6 @@ import handover_marl
 from handover_marl import CameraRandomization
 from handover_marl.config import make_camera
 from handover_marl.errors import OptionError, ResetNeededError
-from handover_marl.receivers import Receiver
 from tests.helpers.equality import assert_equal
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
@@ -106,31 +105,6 @@ def test_a_look_is_the_view_of_the_moment() -> None:
     env.close()
 
 
-class Looker(Receiver):
-    """Receiver that observes point clouds only; the number of points shifts the target of its first joint."""
-
-    name = "looker"
-    obs_mode = "pointcloud"
-
-    def reset(self, seed: int | None = None) -> None:
-        self.asked = 0
-
-    def act(self, observation: dict[str, np.ndarray]) -> np.ndarray:
-        assert set(observation) == OWN | POINTCLOUD
-        self.asked += 1
-        shift = np.float32(1e-4) * observation["wrist_point_counts"].sum()
-        return START + np.array([shift, *[0.0] * 8], dtype=np.float32)
-
-
-def test_frozen_receivers_see_what_they_ask_for() -> None:
-    env = handover_marl.control_agent(make(), "giver", Looker, api="gymnasium")
-    env.reset(seed=0)
-    for _ in range(3):
-        observation = env.step(np.zeros(8, dtype=np.float32))[0]
-    assert "wrist_object_points" not in observation
-    env.close()
-
-
 Observation = dict[str, npt.NDArray[Any]]
 
 SMALL = (make_camera("wrist", width=64, height=48), make_camera("front", width=64, height=48))
@@ -157,11 +131,6 @@ def test_draws_depend_on_the_seed_of_the_environment_only(renderer: str) -> None
     plain = observe(2, None, renderer=renderer)
     for key in ("wrist_rgb", "wrist_depth", "front_rgb", "front_depth"):
         assert (pair[key] != plain[key]).any()
-
-
-@pytest.mark.slow
-def test_no_randomization_is_the_default() -> None:
-    assert_equal(observe(2, CameraRandomization()), observe(2, None))
 
 
 @pytest.mark.slow
@@ -194,15 +163,6 @@ def test_names_of_noise_may_include_wrong_calibration() -> None:
         observe(2, None, camera_noise="intrinsics"), observe(2, CameraRandomization(focal=0.01, principal=2.24))
     )
     assert not np.array_equal(delayed["wrist_depth"], plain["wrist_depth"])
-
-
-def test_calibration_is_that_of_the_configuration() -> None:
-    random, plain = (
-        handover_marl.parallel_env(dataset="synthetic", physics="mujoco", camera_randomization=own, cameras=SMALL)
-        for own in (EVERY, None)
-    )
-    for name, info in random.camera_info().items():
-        assert_equal(vars(info), vars(plain.camera_info()[name]))
 
 
 @pytest.mark.slow

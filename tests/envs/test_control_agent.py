@@ -4,7 +4,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
 
-import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils import seeding
@@ -15,7 +14,6 @@ from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP
 from handover_marl.envs.constructors import parallel_env
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.wrappers.control_agent import FixedPartnerEnv, control_agent
-from handover_marl.envs.wrappers.wrapper import SingleAgentEnv
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import derive_giver_seed, run_episode
 from handover_marl.episode.observations import Observation
@@ -51,20 +49,6 @@ def test_the_partners_action_is_not_taken_from_outside(fake_data: Path, agent: s
     with pytest.raises(ActionError, match=f"a dict with one action, for the {agent}"):
         env.step({agent: own, env.partner_agent: make_giver_action(rate=-1.0)})
     assert_equal(env.step({agent: own}), untouched.step({agent: own}))
-
-
-@pytest.mark.slow
-def test_infos_fit_into_vector_environments(fake_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    envs = gymnasium.make_vec("HandoverMARL/Receiver-v0", 2, vectorization_mode="sync", data_dir=fake_data)
-    envs.reset(seed=[1, 2])
-    view = envs.envs[0].unwrapped
-    assert isinstance(view, SingleAgentEnv)
-    monkeypatch.setattr(view.env.unwrapped._episode._referee, "release_step", 7)
-    *_, infos = envs.step(np.stack([START, START]))
-    np.testing.assert_array_equal(infos["_release_step"], [True, True])
-    np.testing.assert_array_equal(infos["release_step"], [7, -1])
-    assert all(value.dtype.kind in "biuf" for value in infos.values())
-    envs.close()
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from handover_marl.episode.camera_observations import (
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.spaces import FULL_POINTCLOUD, OBS_PARTS, POINTCLOUD, SCENE_POINTCLOUD, STATE
 from handover_marl.geometry.poses import transform_points
-from handover_marl.simulation.camera.images import CameraImage, SegmentationLabel
+from handover_marl.simulation.camera.images import SegmentationLabel
 from handover_marl.simulation.camera.noise import CameraNoise
 from handover_marl.simulation.camera.optics import HANDOVERSIM_MODEL, PINHOLE_MODEL, deproject
 from handover_marl.simulation.camera.ray_camera import RayCamera
@@ -169,15 +169,6 @@ def test_scene_clouds_have_points_of_other_objects(world: World, camera: CameraN
     assert len(cloud) == count > 20
     places = places_in(seen["wrist_other_points"][: min(count, 1024)], cloud)
     assert places == sorted(set(places))
-
-
-def make_image(item: int, hand: int) -> CameraImage:
-    """Return an image with given numbers of object and hand pixels, whose depths are all different."""
-    segmentation = np.zeros(224 * 224, dtype=np.uint8)
-    segmentation[1 : 2 * item : 2] = SegmentationLabel.TARGET
-    segmentation[2 * item + 2 : 2 * (item + hand) + 2 : 2] = SegmentationLabel.HAND
-    depth = np.linspace(0.1, 1.9, 224 * 224, dtype=np.float32)
-    return CameraImage(depth.reshape(224, 224), segmentation.reshape(224, 224), np.zeros((224, 224, 3), np.uint8))
 
 
 # ------------------------------------------------------------------------------------ independence of earlier images

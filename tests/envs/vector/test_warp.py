@@ -141,16 +141,6 @@ def test_clouds_equal_those_of_single_environments() -> None:
     envs.close()
 
 
-def test_spaces_contain_observations() -> None:
-    envs = handover_marl.vector_env(COUNT, obs_mode="state+rgbd+segmentation+pointcloud", **WARP, **RECEIVERS)
-    observations, _ = envs.reset(seed=SEED)
-    for row in read_rows(observations):
-        assert envs.single_observation_space.contains(row)
-    assert set(observations) == set(envs.single_observation_space)
-    assert len(torch.unique(observations["wrist_segmentation"])) > 3
-    envs.close()
-
-
 def test_episodes_and_their_clouds_repeat(monkeypatch: pytest.MonkeyPatch) -> None:
     """Clouds depend on the seed of an environment, neither on the others nor on the size of chunks."""
     monkeypatch.setattr(warp_sensors, "N_POINTS", 32)
