@@ -142,9 +142,10 @@ def run_render(
         vertical_fov: Vertical field of view of the outside camera (degrees).
     """
     camera = CameraConfig(width, height, vertical_fov, position=position, target=target)
-    options: Any = {"receiver": receiver, "camera": camera, "progress": progress, "trust": trust}
-    options |= evaluation.get_fields()
-    print(render_scene(scene, out, view=view, key_frames=key_frames, caption=caption, **options), flush=True)
+    # Without a receiver the robot is at rest, whatever the default of evaluations is.
+    options: Any = evaluation.get_fields() | {"receiver": receiver, "camera": camera, "trust": trust}
+    options |= {"view": view, "key_frames": key_frames, "caption": caption, "progress": progress}
+    print(render_scene(scene, out, **options), flush=True)
 
 
 def _describe_path(execution: ExecutionConfig, report: str) -> str:
