@@ -33,7 +33,7 @@ PopulationName = Annotated[
 ]
 Workers = Annotated[int | None, tyro.conf.arg(metavar="N", help="Number of worker processes; default: one per core.")]
 Progress = Annotated[bool, tyro.conf.arg(help="Show a progress bar on stderr.")]
-Trust = Annotated[bool, tyro.conf.arg(help="Allow files to name modules of Python, which are then run.")]
+Trust = Annotated[bool, tyro.conf.arg(help="Allow files to name Python modules, whose code is then run.")]
 
 
 #: Rules by which tyro parses options that are numbers.

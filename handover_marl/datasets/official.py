@@ -173,8 +173,8 @@ def read_motion(path: Path, shapes: Mapping[str, tuple[int, ...]], advice: str) 
 
 def check_scene_meta(ids: list[int], grasped: int, sides: list[Any]) -> None:
     """Check class numbers `ids`, index `grasped` of the handed-over object and `sides` of hands; raise `ValueError`."""
-    is_known = all(type(number) is int for number in ids) and {*ids} <= {*SCENE_CLASSES}
-    if not is_known or not 1 <= len({*ids}) == len(ids) <= MAX_OBJECTS:
+    is_known = all(type(number) is int and number in SCENE_CLASSES for number in ids)
+    if not is_known or len(set(ids)) < len(ids) or not 1 <= len(ids) <= MAX_OBJECTS:
         classes = ", ".join(map(str, SCENE_CLASSES))
         raise ValueError(f"ycb_ids must be 1 to {MAX_OBJECTS} different ones of the classes {classes}, got {ids}")
     if type(grasped) is not int or not 0 <= grasped < len(ids):

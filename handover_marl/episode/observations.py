@@ -35,7 +35,7 @@ _POSE = 7
 
 
 def state_space(largest_class: int = LARGEST_YCB_CLASS) -> spaces.Dict:
-    """Return the space of the full state, which both agents share; its keys: docs/reference/environment.md.
+    """Return the space of the full state, which both agents share; docs/reference/environment.md lists its keys.
 
     Args:
         largest_class: Largest class number of objects, 21 for YCB classes.
@@ -76,7 +76,7 @@ def receiver_observation_space(
 def giver_observation_space(
     config: GiverConfig = OFFICIAL_CONFIG.giver, largest_class: int = LARGEST_YCB_CLASS
 ) -> spaces.Dict:
-    """Return the giver's observation space: the full state and more; its keys: docs/reference/environment.md.
+    """Return the giver's observation space, which includes the full state; docs/reference/environment.md lists keys.
 
     Args:
         config: Limits of the giver, with the preview times of recorded poses.

@@ -198,7 +198,7 @@ def make_giver_actions(
 ) -> Actions:
     """Make actions (r, 8) of r = `count` givers; see `handover_marl.policies.policy.make_giver_action`.
 
-    The values are (r,) or one for all, except displacements and rotations (r, 3) or 0. A release of 1 is yes.
+    Playback rates and releases are (r,) or one for all; displacements (m) and rotations (rad) are (r, 3) or 0.
     """
     actions = arrays.zeros((count, GIVER_ACTION_SIZE), "float32")
     actions[:, 0], actions[:, 1:4], actions[:, 4:7], actions[:, 7] = rate, displacement, rotation, release

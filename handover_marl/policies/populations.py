@@ -216,8 +216,8 @@ class PopulationPolicy(Policy):
         # A class with a camera is not constructed, because it may need an extra; a policy file states its own mode.
         state_only = [one for one in references if one.policy_class.obs_mode == STATE]
         made = [(one, one.make_from_context(context)) for one in state_only]
-        self._references = [one for one, member in made if member.obs_mode == STATE]
-        self.members = [member for _, member in made if member.obs_mode == STATE]
+        kept = [(one, member) for one, member in made if member.obs_mode == STATE]
+        self._references, self.members = [one for one, _ in kept], [member for _, member in kept]
         if not self.members:
             raise OptionError(f"population must have {agent}s that act on the state, got none in {population!r}")
         self._member = self.members[0]

@@ -73,7 +73,10 @@ class MotionController:
         return self.move_open(self._separate(velocity, self._config.hand_clearance))
 
     def move_to(self, goal: Array, surface: Spheres) -> Action:
-        """Return the action towards joints `goal` (7,) (rad), clear of person and object (`surface`, in its frame)."""
+        """Return the action towards the joints `goal` (7,) (rad) that keeps clear of person and objects.
+
+        `surface` approximates the object that is handed over, in the frame of this object.
+        """
         velocity = self.servo.limit_speed(self.servo.compute_goal_velocity(self.scene.arm_joints, goal))
         return self.move_open(self._separate(velocity, self._config.hand_clearance, surface=surface))
 

@@ -226,7 +226,7 @@ class PoseSceneEstimate(SceneEstimate):
 
     @property
     def is_gripping(self) -> bool:
-        """Whether the fingers do not close (any more), because the object is between them or they have closed."""
+        """Whether the fingers have stopped: the object is between them, or they are closed."""
         return self._closing_rate < _MAX_GRIP_CLOSING_RATE
 
     def _update_obstacles(self, observation: Observation) -> None:
