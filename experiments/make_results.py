@@ -136,7 +136,7 @@ def read_evaluations() -> list[Evaluation]:
 
 
 def add_evaluation(folder: Path, purpose: str) -> None:
-    """Store the outcomes of a result folder in place of an earlier evaluation; log that the test split was used."""
+    """Store the outcomes of a complete official evaluation, and log the use of the test split; exit for another one."""
     report = handover_marl.load_report(folder)
     metadata = report.metadata
     protocol = (metadata.split, metadata.giver, metadata.simulation_label, metadata.inference_time)
@@ -166,7 +166,7 @@ def format_row(one: Evaluation) -> list[str]:
 
 
 def format_published_row(row: PublishedResult, setup: str, episodes: int) -> list[str]:
-    """Return the cells of a published result's table row in the order of `HEADER`; it has `episodes` episodes."""
+    """Return the cells of a published result's table row in the order of `HEADER`; `episodes` is its episode count."""
     rates = [f"{value:.2f}" for value in (row.success, row.contact, row.drop, row.timeout)]
     times = [f"{value:.3f}" for value in (row.time_exec, row.time_plan, row.time_total)]
     start = [f"published: {row.method}", setup, f"{row.wait_s:g}", str(episodes)]

@@ -59,7 +59,7 @@ class Args(SetupArgs):
 
 
 def compute_best_of(successes: npt.NDArray[np.bool_], k: int) -> npt.NDArray[np.float64]:
-    """Return for each of s scenes the probability (s,) that at least one of k draws succeeds.
+    """Return for each of s scenes the probability (s,) that at least one of k draws of an offer succeeds.
 
     The k draws are chosen at random, without replacement, from the n draws with the outcomes `successes` (s, n).
     """
@@ -93,7 +93,7 @@ def play(args: Args, receiver: str, giver: str, folder: str) -> npt.NDArray[np.b
 
 
 def main(args: Args) -> dict[tuple[str, str], npt.NDArray[np.bool_]]:
-    """Play all pairs, and print the success of the best of K draws of each quantity."""
+    """Evaluate all pairs, and print the success of the best of K draws; return all successes as for `draw_figure`."""
     args = args.resolve_setup()
     numbers = [k for k in (1, 2, 4, 8, 16, 32) if k <= args.draws]
     found, rows = {}, []

@@ -1,10 +1,10 @@
 """Policies of the giver, the human side.
 
-`replay` replays the recorded human; `hesitant`, `hurried`, `noisy`, `displaced`, `recording_spread`, `tired` and
+`replay` repeats the recorded motion; `hesitant`, `hurried`, `noisy`, `displaced`, `recording_spread`, `tired` and
 `interrupting` vary the recording. `adaptive`, `stop_when_near`, `cooperative`, `withdrawing` and `early_release` react
-to the robot. `population` acts in each episode as a giver that is drawn from a population. `learned:FILE` acts by the
-network of a policy file. User-defined givers are subclasses of `Giver`; packages register them by name in the
-entry-point group `handover_marl.givers`.
+to the robot. In each episode, `population` acts as a giver that is drawn from a set of givers, such as `strangers-v1`.
+`learned:FILE` acts by the network of a policy file. User-defined givers are subclasses of `Giver`; packages register
+them by name in the entry-point group `handover_marl.givers`.
 """
 
 from handover_marl.datasets import Dataset
@@ -24,13 +24,13 @@ def make(policy: PolicyLike, dataset: Dataset | None = None, trust: bool = False
     """Create a giver for the robot and objects of a dataset.
 
     Args:
-        policy: Registered name (options or a file may follow) or a class; see `handover_marl.policies.reference`.
+        policy: Registered name, such as "hurried:max_rate=0.8", or class; see `handover_marl.policies.reference`.
         dataset: Dataset with the robot and objects; default: the one that `open_dataset()` returns.
-        trust: Whether modules that only a policy file names may be imported.
-        setup: Setup whose weights a learned policy uses; default: the dataset's first setup.
+        trust: Whether to import modules that only a policy file names.
+        setup: Setup, for policies with different weights for each setup; default: the dataset's first setup.
 
     Raises:
         UnknownNameError: No giver of this name is registered.
-        HandoverError: The policy cannot be created, or its policy file cannot be loaded.
+        HandoverError: The giver cannot be created, for example because an option or its policy file is wrong.
     """
     return parse_policy("giver", policy, trust).make(dataset, setup=setup)

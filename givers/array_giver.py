@@ -1,4 +1,4 @@
-"""Base class of the library's givers, which compute the actions of one or many episodes in arrays (episode, ...)."""
+"""Base class of the scripted givers, which act in one or many episodes at once; arrays have one row per episode."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
@@ -25,17 +25,18 @@ class NoConfig(CheckedConfig):
 class ArrayGiver(ArrayPolicy, Giver):
     """Base class of givers that keep their state in arrays (n, ...), with one row for each of n episodes.
 
-    Subclasses define `decide`, `initial_state` if they keep a state, and `start` if a part of the state is random.
+    Subclasses define `decide`, `initial_state` if they keep a state, and `start` if a part of the state is random. The
+    argument `rows` (r,) of methods has the indices of r episodes, to which the other arrays (r, ...) belong.
 
     Args:
         context: Robot and task.
-        options: Numbers of the configuration that differ from its defaults.
+        options: Values that replace defaults of the configuration, by name of the field.
 
     Attributes:
         config: Configuration: the default of the class, changed by `options`.
-        state: Arrays (n, ...) of the episodes' state by name.
+        state: Arrays (n, ...) by the names in `initial_state`.
         rngs: Random generator of each episode.
-        arrays: Factory of the arrays.
+        arrays: Creator of the arrays, NumPy arrays or PyTorch tensors.
 
     Raises:
         OptionError: An option does not exist, or its value is out of range.
@@ -56,7 +57,7 @@ class ArrayGiver(ArrayPolicy, Giver):
         self.allocate(1, NUMPY_ARRAYS)
 
     def allocate(self, count: int, arrays: ArrayFactory) -> None:
-        """Create the state of `count` episodes in arrays of the factory `arrays`."""
+        """Create the state of `count` episodes, in arrays that `arrays` creates."""
         self.arrays, self.rngs = arrays, [np.random.default_rng(0)] * count
         self.state: dict[str, AnyArray] = {}
         for name, value in self.initial_state.items():
@@ -69,7 +70,7 @@ class ArrayGiver(ArrayPolicy, Giver):
             self.state[name][row] = self.arrays.asarray(value)
 
     def make_actions(self, rows: AnyIndices, **components: float | AnyArray) -> Actions:
-        """Make actions (r, 8) in the episodes `rows` from components such as `rate`; see `make_giver_actions`."""
+        """Make actions (r, 8) for `rows` (r,) from keywords of `make_giver_actions`, such as `rate`; others are 0."""
         return make_giver_actions(len(rows), arrays=self.arrays, **components)
 
     def make_pauses(self, rows: AnyIndices, is_paused: AnyArray) -> Actions:
@@ -78,7 +79,7 @@ class ArrayGiver(ArrayPolicy, Giver):
 
 
 def is_hand_previewed(observation: Observation) -> AnyArray:
-    """Return a mask (r,): whether the hand is in the scene now and at the end of the observed part of the recording."""
+    """Return a mask (r,): whether there is a hand now, and in the last previewed pose (by default 0.5 s ahead)."""
     is_recorded = get_namespace(observation["time"]).any(observation["replay_wrist_poses"][:, -1] != 0.0, axis=1)
     return is_recorded & (observation["hand_present"][:, 0] != 0.0)
 
@@ -89,6 +90,6 @@ def compute_gripper_object_distances(observation: Observation) -> AnyArray:
 
 
 def compute_withdrawals(observation: Observation, distance: float | AnyArray) -> AnyArray:
-    """Return displacements (r, 3) of hands away from the gripper; `distance` (m) is a number or an array (r, 1)."""
+    """Return displacements (r, 3; world, m) of wrists by `distance`, a number or (r, 1), away from the gripper."""
     away = observation["hand_keypoints"][:, 0] - observation["gripper_pose"][:, :3]
     return distance * away / compute_lengths(away).clip(1e-6)[:, None]

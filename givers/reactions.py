@@ -23,10 +23,11 @@ from handover_marl.policies.batch import Actions
 
 
 class HandoverPoseVariation:
-    """Variation of the handover pose while the robot does not approach, separately in `count` episodes.
+    """Factor on the deviation from the recorded handover pose, which changes while the robot does not approach.
 
-    The deviation from the recorded handover pose is to be multiplied by `scale`. This factor changes to the next of
-    `scales` after each time `timeout` in which the gripper has not come nearer to the object by `min_approach`.
+    A giver multiplies its displacement and rotation by `scale`, one number for each of `count` episodes. The factor
+    becomes the next of `scales` each time that the gripper has not come nearer to the object by `min_approach` for the
+    time `timeout`.
 
     Attributes:
         scale: (count,) present factor of each episode; 0 gives the recorded pose.
@@ -69,10 +70,10 @@ class CooperativeConfig(CheckedConfig):
 
     Attributes:
         approach_share: Share of the distance to the gripper by which the object is moved towards the gripper.
-        min_distance: Distance from gripper to object below which the object is not moved closer (m).
+        min_distance: Distance from gripper to object (m); the object is not moved closer to the gripper than this.
         max_displacement: Largest displacement of the object from its recorded position (m).
         max_rotation: Largest rotation of hand and object from their recorded orientation (rad).
-        rate: Playback rate minus 1; positive values are faster than recorded.
+        rate: Playback rate minus 1 until the release; positive values are faster than recorded.
         withdrawal: Distance by which the hand withdraws after the release (m).
     """
 
@@ -87,19 +88,20 @@ class CooperativeConfig(CheckedConfig):
 class CooperativeGiver(ArrayGiver):
     """Giver that holds out the object towards the gripper, waits for a grasp, releases the object and withdraws.
 
-    While the recorded hand moves to its handover pose, the giver turns its hand so that the object is between hand and
-    gripper, and moves it towards the gripper. The pose is fixed once the recorded hand has stopped or the gripper is
-    near, because robots take resting objects best. `HandoverPoseVariation` varies the pose if the gripper does not
-    approach. The hand releases the object when both fingers have rested on it, and withdraws after any release.
+    While the recorded hand moves to its handover pose, the giver turns the hand so that the object is between hand and
+    gripper, and moves the object towards the gripper. The pose is fixed once the recorded hand has stopped or the
+    gripper is near, because robots take resting objects best. `HandoverPoseVariation` varies the pose if the gripper
+    does not approach. The hand releases the object when the robot's fingers seem to hold it (they rest, partly closed,
+    near the object), and withdraws after any release.
 
     Args:
         context: Robot and task, which this giver does not use.
         options: Numbers in `CooperativeConfig`.
 
     Attributes:
-        near_distance: Distance from gripper to object at which the pose is fixed (m).
-        arrival_tolerance: Remaining motion of the recorded wrist below which the hand counts as stopped (m).
-        grasp_time: Time for which the robot's fingers must rest on the object before the release (s).
+        near_distance: Distance from gripper to object below which the gripper counts as near (m).
+        arrival_tolerance: Motion of the recorded wrist in the next 0.5 s below which the hand counts as stopped (m).
+        grasp_time: Time for which the robot's fingers must seem to hold the object before the release (s).
     """
 
     name = "cooperative"
@@ -117,7 +119,7 @@ class CooperativeGiver(ArrayGiver):
     }
 
     def allocate(self, count: int, arrays: ArrayFactory) -> None:
-        """Create the state of `count` episodes in arrays of the factory `arrays`."""
+        """Create the state of `count` episodes, in arrays that `arrays` creates."""
         super().allocate(count, arrays)
         self._pose_variation = HandoverPoseVariation(count, arrays)
 
@@ -151,13 +153,13 @@ class CooperativeGiver(ArrayGiver):
         )
 
     def _has_arrived(self, observation: Observation) -> AnyArray:
-        """Return a mask (r,): whether the hand holds the object and, by the recording, moves little for 0.5 s."""
+        """Return a mask (r,): whether the hand holds the object, and the recorded wrist hardly moves for 0.5 s."""
         xp, wrist = self.arrays.xp, observation["replay_wrist_poses"][..., :3]
         moves = widen(xp.max(xp.abs(wrist - wrist[:, :1]), axis=(1, 2)))
         return (observation["holding"][:, 0] != 0.0) & (moves < self.arrival_tolerance)
 
     def _choose_poses(self, rows: AnyIndices, observation: Observation) -> None:
-        """Choose displacements and rotations in the episodes `rows` from the recorded poses 0.5 s ahead."""
+        """Store displacements and rotations that bring the object, as recorded 0.5 s ahead, closer to the gripper."""
         xp, config = self.arrays.xp, self.config
         gripper = widen(observation["gripper_pose"][:, :3])
         wrist = widen(observation["replay_wrist_poses"][:, -1, :3])
@@ -173,7 +175,7 @@ class CooperativeGiver(ArrayGiver):
         self.state["displacement"][rows], self.state["rotation"][rows] = target - moved - wrist, rotation
 
     def _rotate_towards(self, arms: AnyArray, directions: AnyArray) -> AnyArray:
-        """Return rotation vectors (r, 3) that turn `arms` (r, 3) to `directions` (r, 3), by at most `max_rotation`."""
+        """Return rotation vectors (r, 3) that turn vectors `arms` (r, 3) to `directions`, by at most `max_rotation`."""
         xp = self.arrays.xp
         axes = xp.linalg.cross(arms, directions)
         size = compute_lengths(axes)
@@ -182,13 +184,10 @@ class CooperativeGiver(ArrayGiver):
         return xp.where(is_turned[:, None], axes / xp.where(is_turned, size, 1.0)[:, None] * angle[:, None], 0.0)
 
     def _are_grasped(self, rows: AnyIndices, held: AnyArray, near: AnyArray, observation: Observation) -> AnyArray:
-        """Return a mask (r,): whether the robot's fingers have rested on the object for `grasp_time`.
+        """Return a mask (r,): whether the robot's fingers have seemed to hold the object for `grasp_time`.
 
-        Args:
-            rows: Indices (r,) of the episodes.
-            held: Whether the person still holds the object, (r,).
-            near: Whether the gripper is near the object, (r,).
-            observation: Observations (r, ...) of the giver.
+        They seem to hold it while they are at rest, neither open nor closed, and near the object (mask `near`, (r,)).
+        Only time before the release counts (mask `held`, (r,)).
         """
         xp, now = self.arrays.xp, widen(observation["time"][:, 0])
         fingers, speeds = (widen(observation[f"robot_joint_{key}"][:, 7:]) for key in ("position", "velocity"))
@@ -199,9 +198,9 @@ class CooperativeGiver(ArrayGiver):
         return resting & (now - since >= self.grasp_time)
 
     def _withdraw(self, rows: AnyIndices, begins: AnyArray, shift: AnyArray, observation: Observation) -> None:
-        """Store the final displacements of the hands that begin to withdraw, where `begins` (r,) is True.
+        """Store the displacements to which hands withdraw, in the episodes where the mask `begins` (r,) is True.
 
-        A hand moves from its present displacement `shift` (r, 3) in m away from the gripper, by `withdrawal`.
+        They are the set points `shift` (r, 3) until now (m), plus `config.withdrawal` away from the gripper.
         """
         withdrawal = shift + compute_withdrawals(observation, self.config.withdrawal)
         withdrawn = self.state["withdrawal"]
@@ -239,7 +238,7 @@ class WithdrawingConfig(CheckedConfig):
     """Configuration of `WithdrawingGiver`.
 
     Attributes:
-        max_speed: Speed of the gripper towards the wrist above which the hand withdraws (m/s).
+        max_speed: Speed at which gripper and wrist approach each other above which the hand withdraws (m/s).
         max_distance: Distance from gripper to wrist beyond which the hand does not withdraw (m).
         withdrawal: Distance by which the hand withdraws (m).
         return_after: Time from the last fast approach to the return of the hand (s).
@@ -252,7 +251,7 @@ class WithdrawingConfig(CheckedConfig):
 
 
 class WithdrawingGiver(ArrayGiver):
-    """Giver that withdraws the hand while the gripper approaches fast, as a stress test."""
+    """Giver that withdraws the hand when the gripper approaches fast, and returns later; meant as a stress test."""
 
     name = "withdrawing"
     config: WithdrawingConfig = WithdrawingConfig()
@@ -280,9 +279,9 @@ class EarlyReleaseConfig(CheckedConfig):
     """Configuration of `EarlyReleaseGiver`.
 
     Attributes:
-        distance: Distance (m) that defines when the gripper is near: the point between its fingertips is then closer to
-            the object's origin.
-        max_delay: Largest delay from the time at which the gripper is first near (s); each episode draws a delay.
+        distance: Distance from the point between the robot's fingertips to the object's origin below which the gripper
+            counts as near (m).
+        max_delay: Largest delay of the release after the gripper is first near (s); each episode draws a delay.
     """
 
     distance: float = bounded(0.1, 0.0, 0.5)

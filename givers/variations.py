@@ -1,4 +1,4 @@
-"""Givers that replay the recording, exactly or with variations that do not react to the robot's behavior."""
+"""Givers that replay the recording, exactly or with variations at times that do not depend on the robot."""
 
 import functools
 import hashlib
@@ -48,7 +48,7 @@ class HesitantConfig(CheckedConfig):
     """Configuration of `HesitantGiver`.
 
     Attributes:
-        pauses_per_second: Mean number of pauses that start per second outside pauses (1/s).
+        pauses_per_second: Mean number of pauses that start per second, not counting time in pauses (1/s).
         shortest_pause: Smallest duration of a pause (s).
         longest_pause: Largest duration of a pause (s).
     """
@@ -173,7 +173,7 @@ class NoisyConfig(CheckedConfig):
 class NoisyGiver(ArrayGiver):
     """Giver with Ornstein-Uhlenbeck noise on playback rate, wrist position and wrist rotation.
 
-    The limits of the giver's motion apply, so fast noise is smoothed.
+    The limits of the giver's motion (`GiverConfig`) apply, so fast noise is smoothed.
     """
 
     name = "noisy"
@@ -243,7 +243,7 @@ class InterruptingConfig(CheckedConfig):
     """Configuration of `InterruptingGiver`.
 
     Attributes:
-        interruptions_per_second: Mean number of interruptions that start per second outside interruptions (1/s).
+        interruptions_per_second: Mean number of interruptions that start per second, not counting time in them (1/s).
         withdrawal: Distance by which the hand withdraws (m).
         shortest: Smallest duration of an interruption (s).
         longest: Largest duration of an interruption (s).
@@ -308,9 +308,9 @@ class RecordingSpreadGiver(ArrayGiver):
 
     In every episode, displacement and rotation of the handover pose and the logarithm of the playback speed are drawn
     from normal distributions. Their standard deviations (`recording_spread.json`) were computed from the recordings of
-    the same object in DexYCB's s0 train split; other objects have those of all these recordings. The limits of the
-    giver's motion apply: each component is at most 0.3 m for the displacement and 1 rad for the rotation vector, and
-    the playback rate is 0.4 to 2.
+    the same object in DexYCB's s0 train split; for objects without recordings there, all recordings were used. The
+    playback rate is clipped to 0.4 to 2. The limits of the giver's motion (`GiverConfig`) apply: by default, components
+    are at most 0.3 m for the displacement and 1 rad for the rotation vector.
     """
 
     name = "recording_spread"

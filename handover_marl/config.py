@@ -77,15 +77,15 @@ class CheckedConfig:
 
 
 def bounded(default: float | tuple[float, ...], low: float, high: float = math.inf, in_steps: bool = False) -> Any:
-    """Return a field of a `CheckedConfig` with a default; all numbers in the field must be from `low` to `high`.
+    """Return a dataclass field of a `CheckedConfig` with a default; its numbers must be from `low` to `high`.
 
-    With `in_steps`, they are times in s, and must be whole numbers of physics steps.
+    If `in_steps` is True, the numbers are times in s, and must be whole numbers of physics steps (1 ms).
     """
     return field(default=default, metadata={"limits": (low, high), "in_steps": in_steps})
 
 
 def count_physics_steps(name: str, time: float) -> int:
-    """Return the number of physics steps in a time (s); raise OptionError if it is no whole number."""
+    """Return the number of physics steps in a time (s); raise OptionError about the argument `name` if not whole."""
     steps = round(time / TIME_STEP)
     if abs(steps * TIME_STEP - time) > 1e-6:  # single precision suffices
         raise OptionError(f"{name} must be a whole number of ms, in s, got {time!r}; take {steps * TIME_STEP:g}")
@@ -132,8 +132,8 @@ def _check_number(name: str, value: Any, is_integer: bool, limits: tuple[float, 
 class MotorConfig(CheckedConfig):
     """Motor parameters of the position control of a group of joints.
 
-    In fast and MuJoCo physics, `force` and `velocity_gain` have no effect on the human hand, nor on objects until the
-    Panda has come near.
+    In fast and MuJoCo physics, `force` and `velocity_gain` have no effect on the human hand, and on an object only once
+    the Panda has come near it.
 
     Attributes:
         force: Largest motor force (N) or torque (N m), at least 0.001.
@@ -236,9 +236,9 @@ class GiverConfig(CheckedConfig):
         turn_speed: Largest speed of the wrist's rotation vector (rad/s).
         turn_acceleration: Largest acceleration of the wrist's rotation vector (rad/s^2).
         rate_change: Largest slope of the playback rate (1/s); a stop takes 0.2 s at the default.
-        opening: Share by which finger angles shrink when the hand opens.
+        opening: Share by which finger angles shrink when the hand opens after a voluntary release.
         opening_time: Time in which the hand opens (s).
-        preview: Times (s) after the current frame at which the giver observes its recording, whole numbers of ms.
+        preview: Times (s), ahead of the current frame, of the recorded poses that the giver observes; whole ms.
     """
 
     displacement: float = bounded(0.3, 0.0)
@@ -261,7 +261,7 @@ class ProtocolConfig(CheckedConfig):
     Attributes:
         release_steps: Consecutive physics steps for which a release condition must hold.
         region_lower: Lower corner (m) of the grasp region, an open box in each finger link's frame.
-        region_upper: Upper corner (m) of the grasp region; finger-object contacts in the region count as a grasp.
+        region_upper: Upper corner (m) of the grasp region; contacts with the object in it count for an active release.
         goal_center: Center of the spherical goal region, world frame (m).
         goal_radius: Largest distance of the Panda's hand link from the goal's center (m).
         success_steps: Consecutive physics steps for which the gripper must hold the object at the goal.
@@ -303,7 +303,7 @@ class WorldConfig(CheckedConfig):
     initial_joint_noise: float = field(default=0.0, repr=False, metadata={"limits": (0.0, 0.3)})
 
     def draw_initial_joints(self, seed: int) -> tuple[float, ...]:
-        """Draw the robot's joint positions (9,) at the start of an episode: 7 arm joints (rad) and 2 fingers (m)."""
+        """Return the robot's start joints (9,), 7 arm (rad) and 2 fingers (m); `seed` draws the noise on the arm."""
         joints = self.physics.panda.start_joints
         if self.initial_joint_noise == 0.0:
             return joints

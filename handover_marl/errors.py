@@ -10,7 +10,7 @@ class HandoverError(Exception):
 
 
 class DataNotFoundError(HandoverError, FileNotFoundError):
-    """Error for a data folder, or a required file in it, that does not exist."""
+    """Error for a data folder or a required file, such as a policy file, that does not exist or cannot be read."""
 
 
 class DataFormatError(HandoverError, ValueError):
@@ -110,7 +110,7 @@ class WorkerError(HandoverError, RuntimeError):
 
 
 class PolicyError(HandoverError, RuntimeError):
-    """Error in the code of a policy, while the policy was constructed, reset or called."""
+    """Error for a policy whose code fails when it is made, reset or called, or is missing or different on a machine."""
 
 
 class ResultsError(HandoverError, ValueError):

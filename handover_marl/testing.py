@@ -39,9 +39,9 @@ def check_receiver(
     generators.
 
     Args:
-        receiver: Receiver, as in `handover_marl.benchmark`.
+        receiver: Receiver: a name, a class, an instance or another value that `handover_marl.benchmark` accepts.
         dataset: Dataset of the scenes; default: the synthetic dataset.
-        scenes: Scene numbers to simulate.
+        scenes: Numbers of the scenes to simulate.
         steps: Largest number of physics steps per scene.
 
     Raises:
@@ -56,13 +56,13 @@ def check_giver(
 ) -> None:
     """Check that a giver meets the requirements of evaluations, by running it with the receiver `yang2021`.
 
-    `giver` is as in `handover_marl.crossplay`. Requirements, other arguments and errors are those of `check_receiver`.
+    `giver` is a name, a class or an instance. Requirements, other arguments and errors are those of `check_receiver`.
     """
     _check("giver", giver, dataset or open_dataset("synthetic"), scenes, steps)
 
 
 class _CheckedPolicy:
-    """Policy wrapper that records times (s) and actions, and checks that the policy does not modify observations."""
+    """Policy wrapper that records decisions (time in s, action), and checks that observations are not modified."""
 
     def __init__(self, policy: Policy) -> None:
         self._policy, self.name = policy, policy.name

@@ -1,4 +1,4 @@
-"""Commands that read result folders, or create or check data folders."""
+"""Commands that read result folders or demonstrations, and commands that create or check data folders."""
 
 import functools
 import os
@@ -41,7 +41,7 @@ from handover_marl.simulation.engines import EXACT, list_available_physics
 from handover_marl.version import __version__
 from handover_marl.visualization.pictures import prepare_output_path
 
-#: Level ("ok", "note" or "fault"), name and result of a check.
+#: Level ("ok", "note" or "fault"), name and text of the result of a check.
 Finding = tuple[str, str, str]
 
 _TABLES = TableArguments()
@@ -152,7 +152,7 @@ def run_strangers_table(
 
 
 def _split_names(folders: tuple[str, ...]) -> tuple[list[str], list[str] | None]:
-    """Split arguments NAME=DIR into folders and names; the names are None if all arguments are folders."""
+    """Split arguments NAME=DIR into folders and names; the names are None if no argument has a name."""
     named = [folder.partition("=") for folder in folders if not Path(folder).expanduser().is_dir()]
     names = [name for name, sign, _ in named if sign]
     if not names:
@@ -179,9 +179,8 @@ def run_import(
         dexycb: Folder into which DexYCB's archives were unpacked.
         mano: Folder with MANO_RIGHT.pkl and MANO_LEFT.pkl.
         out: Data folder to create; an interrupted import resumes there.
-        third_party: HandoverSim's assets-3rd-party archive, or the folder into which it was
-            unpacked; default: substitutes from DexYCB's models, the library's grasps and PyBullet's
-            Panda.
+        third_party: HandoverSim's assets-3rd-party archive, or the folder into which it was unpacked; default:
+            substitutes from DexYCB's models, the library's grasps and PyBullet's Panda.
         scenes: Numbers of the scenes to import, e.g. 209,214; default: all.
     """
     from handover_marl.datasets.dexycb.importer import import_dexycb
@@ -210,7 +209,7 @@ def run_doctor(data_dir: DataDir = None, progress: Progress = True) -> int:
 
 
 def check_installation() -> list[Finding]:
-    """Return findings on the library's version, the physics engines and the packages of the optional extras."""
+    """Return findings (level, name, text) on library version, physics engines and packages of optional extras."""
     machine = f"Python {platform.python_version()}, {platform.system()} {platform.machine()}"
     findings = [("ok", "library", f"handover_marl {__version__}, {machine}")]
     available = list_available_physics()
@@ -232,7 +231,7 @@ def check_installation() -> list[Finding]:
 def check_data_folder(data_dir: Path, progress: bool = False) -> list[Finding]:
     """Load all scenes of a data folder in HandoverSim's layout, with their models and grasps.
 
-    Returns a finding for the scenes, with the errors, and one for each kind of models.
+    Returns a `Finding` (level, name, text) for the scenes, with the errors, and one for each origin of models.
     """
     check_once = functools.cache(check_model)
     faults, models, n_complete = Counter[str](), Counter[str](), 0

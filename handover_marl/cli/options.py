@@ -42,7 +42,7 @@ OPTION_RULES = ConstructorRegistry()
 
 @OPTION_RULES.primitive_rule
 def make_number_option(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
-    """Return the parser of an option that is a number or one of some words; None for other options."""
+    """Return the parser of an option whose value is a number or a word of a `Literal`; None for other options."""
     types = get_args(info.type) or (info.type,)
     words = [word for part in types if get_origin(part) is Literal for word in get_args(part)]
     kinds = [part for part in types if part in (int, float)]
@@ -85,7 +85,7 @@ class TableArguments:
 
 
 def parse_scenes(words: Sequence[str]) -> tuple[int, ...]:
-    """Return the scene numbers in words such as "209" or "209,214"."""
+    """Return the scene numbers in words such as "209" or "209,214"; raise `OptionError` for other words."""
     text = " ".join(words)
     try:
         return tuple(int(part) for part in text.replace(", ", ",").replace(" ", ",").split(","))

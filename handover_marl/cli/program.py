@@ -34,7 +34,7 @@ _SCENE_COMMANDS = (scenes.add_object, scenes.add_motion, scenes.add_split, scene
 
 
 def run_program(arguments: Sequence[str]) -> int:
-    """Run a command; `arguments` are its name and its options. Return its exit status."""
+    """Run the command whose name and options are `arguments`; return the exit status."""
     names = {f"{agent}s": ", ".join(list_available(agent)) for agent in ("receiver", "giver")}
     app, scenes_app = tyro.extras.SubcommandApp(), tyro.extras.SubcommandApp()
     for group, commands in ((app, _COMMANDS), (scenes_app, _SCENE_COMMANDS)):

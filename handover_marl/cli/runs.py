@@ -101,10 +101,9 @@ def run_demonstrate(
     """Record episodes of a train split for imitation learning; --out DIR is required.
 
     Args:
-        obs_mode: Observation mode of the recording, independent of the receiver's: parts joined by +, e.g.
-            state+rgb+depth.
+        obs_mode: Observation mode of the recording: parts joined by +, e.g. state+rgbd; the receiver may use another.
         keep: Episodes to store: all (with their outcomes), or only those with success.
-        fps: Frames per second, 1 to 1000, to record a constant rate; default: every decision, for exact replay.
+        fps: Frames per second (1 to 1000) to record; default: every decision of the receiver, for exact replay.
     """
     result = demonstrate(**evaluation.get_fields(), obs_mode=obs_mode, keep=keep, fps=fps, **vars(execution))
     print(f"{result}\n\n{_describe_path(execution, 'report.html')}", flush=True)

@@ -38,7 +38,7 @@ def add_object(
         name: Class name of the object.
         mesh: Mesh file of any format that trimesh reads (STL, OBJ, PLY, ...).
         unit: Unit of length in the mesh file.
-        scale: Factor on the size, after the unit.
+        scale: Factor by which the mesh is scaled, in addition to the conversion of its unit.
         mass: Mass (kg); default: from the density.
         density: Density (kg/m^3); default: 300, a half-filled plastic bottle.
         friction: Lateral friction coefficient.
@@ -86,10 +86,9 @@ def add_motion(
         recording: Name of the recording; default: the number of the scene.
         side: Hand with which the person gives the object.
         hand: Number of the shipped model of a person's hand, or none for a scene without a hand.
-        others: Classes of the other objects, whose poses are in the file.
+        others: Classes of the other objects, whose poses must be in the file, separated by commas.
         frame: Frame of the poses: world, table, or the pose of another frame in the world.
-        object_offset: Pose of the object's frame in the recorded frame, such as the frame of its markers: position (m)
-            and quaternion xyzw.
+        object_offset: Pose of the object's frame in the recorded frame (of its markers): xyz (m) and quaternion xyzw.
         wrist_offset: Pose of the wrist's frame in the recorded frame, in the same form.
         length: Unit of positions.
         time: Unit of times.

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def prepare_streams() -> None:
-    """Let stdout and stderr escape characters that they cannot encode; open them if they are closed."""
+    """Let stdout and stderr escape characters that they cannot encode; discard the output if they are closed."""
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if stream is None:  # as in `>&-`; libraries flush the streams, also in worker processes
@@ -25,7 +25,7 @@ def prepare_streams() -> None:
 
 
 def print_tables(result: "TabularResult", tables: "TableArguments", note: str = "") -> None:
-    """Print a result, and a note on files such as the path of a report; in CSV and LaTeX the note goes to stderr."""
+    """Print a result in the style of `tables`, then `note`, e.g. the path of a report (for CSV and LaTeX on stderr)."""
     text = result.format(tables.style, tables.columns)
     if tables.style == "markdown":
         print("\n\n".join(filter(None, (text, note))), flush=True)

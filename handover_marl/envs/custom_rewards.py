@@ -67,7 +67,7 @@ def combine_rewards(*parts: RewardLike | tuple[float, RewardLike]) -> CombinedRe
 
 
 def resolve_rewards(rewards: Any) -> Any:
-    """Return the rewards that a preset's name or a text `module:name` stands for; return other rewards unchanged."""
+    """Return the weights of a preset's name or the value that text `module:name` imports; return others unchanged."""
     if isinstance(rewards, str) and ":" in rewards:
         rewards = import_reference("rewards", rewards, (*REWARDS, "module:name"))
     if isinstance(rewards, str):
@@ -85,7 +85,7 @@ def resolve_rewards(rewards: Any) -> Any:
 
 
 def set_discount(rewards: RewardLike, discount: float) -> Any:
-    """Return rewards with the discount factor `discount` in all shaping terms; functions stay unchanged."""
+    """Return rewards whose shaping terms have the discount factor `discount`; user-defined functions stay unchanged."""
     found = resolve_rewards(rewards)
     if isinstance(found, RewardWeights):
         return replace(found, gamma=discount)
@@ -97,8 +97,8 @@ def set_discount(rewards: RewardLike, discount: float) -> Any:
 class RewardSource:
     """Reward terms of both agents in n episodes; the terms of an agent must have different names.
 
-    The argument `rows` (r,) of methods has the indices of r episodes. Each episode has its own instance of a class, or
-    its own deep copy of an instance, so that episodes share no attributes; they share plain functions.
+    The argument `rows` (r,) of methods has the indices of r episodes. If a user-defined reward is a class, each episode
+    has its own instance; if it is an instance, its own deep copy. Plain functions are shared by all episodes.
 
     Args:
         rewards: Any value that `rewards` accepts.
@@ -150,8 +150,8 @@ def _list_parts(rewards: RewardLike, weight: float = 1.0) -> list[tuple[float, A
 class CustomRewardSource:
     """Terms of a user-defined reward in n episodes; wrong names or values of terms raise `RewardError`.
 
-    `reward` is a function of a transition, or a class of such functions. A method `reset(transition)` of the function,
-    if there is one, is called at the start of the episode.
+    `reward` is a function of a transition, an object that can be called like one, or a class of such objects. The
+    method `reset(transition)` of an object, if there is one, is called at the start of the episode.
     """
 
     def __init__(self, reward: Any, count: int, arrays: ArrayFactory) -> None:
@@ -175,7 +175,7 @@ class CustomRewardSource:
         return self._names
 
     def compute(self, rows: AnyIndices, step: StepData) -> dict[str, ArrayTerms]:
-        """Return the values (r,) of the terms by agent and name; 0 for terms that the function does not return."""
+        """Return the values (r,) of the terms by agent and name; 0 for a term that is missing in this step."""
         values = {agent: {name: np.zeros(len(rows)) for name in names} for agent, names in self._names.items()}
         for number, (row, transition) in enumerate(zip(rows.tolist(), step.read_transitions(), strict=True)):
             terms = self._run(self._functions[row], transition)

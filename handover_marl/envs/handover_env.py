@@ -59,8 +59,8 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
     for one control period (default 0.1 s). The rules are HandoverSim's (Chao et al., ICRA 2022) and are
     checked every physics step (1 ms), so that the last control step of an episode may be shorter.
 
-    Observations and infos are dictionaries by key, and actions float32 arrays: target joint positions (9,) of the
-    receiver (rad, m), and a deviation (8,) from the recording of the giver, for which zeros replay the recording.
+    Observations and infos are dictionaries by key. Actions are float32 arrays: the receiver's are target joint
+    positions (9,) in rad and m, the giver's are deviations (8,) from the recording, and zeros replay the recording.
     World frame, m, rad, s, quaternions xyzw. `docs/reference/environment.md` specifies observations, actions, rewards,
     ends of episodes and infos.
 
@@ -73,12 +73,12 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         config: Configuration, with the resolved setup.
         dataset: Dataset of the scenes.
         scene_ids: Numbers of the scenes that `reset` draws from, ascending.
-        calibration: Camera matrices in the receiver's infos, by key; empty if it observes no camera.
+        calibration: Camera matrices in the receiver's infos, by key; empty if `obs_mode` has no camera data.
         state_space: Space of the vector that `state` returns, a `gymnasium.spaces.Box`.
         np_random: Random generator from which `reset` draws scenes.
 
     Raises:
-        UnknownNameError: There is no such setup, split, dataset, physics, robot, obs_mode, renderer or render_mode.
+        UnknownNameError: There is no such setup, split, dataset or robot; `EnvConfig` checks the other names.
         SceneError: A scene is not in the split.
         DataNotFoundError: The data folder does not exist.
         RewardError: A user-defined reward cannot be made or copied.
@@ -238,7 +238,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         )
 
     def state(self) -> npt.NDArray[np.float32]:
-        """Return the full state as one vector, an element of `state_space`, for centralised critics.
+        """Return the full state as one vector, an element of `state_space`, for centralized critics.
 
         Raises:
             ResetNeededError: No episode has been started.
@@ -248,10 +248,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         return np.asarray(spaces.flatten(state_space(self._largest_class), self._observation))
 
     def render(self) -> npt.NDArray[np.uint8] | None:
-        """Return an RGB image (height, width, 3) in the mode "rgb_array", else None.
-
-        In the mode "human", PyBullet draws its window without calls of `render`.
-        """
+        """Return an RGB image (height, width, 3) in mode "rgb_array", else None; mode "human" draws by itself."""
         if self.render_mode is None:
             logger.warn("render() returns no image without a render_mode; pass render_mode='rgb_array'")
         if self.render_mode != "rgb_array":
@@ -279,7 +276,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         return self._episode.capture_wrist_camera()
 
     def choose_scene(self, options: dict[str, Any] | None, rng: np.random.Generator) -> int:
-        """Return the scene number that the options of `reset` choose; without a choice, draw one from `rng`.
+        """Return the scene number in the options of `reset`; if they have none, draw one of `scene_ids` by `rng`.
 
         Raises:
             OptionError: The options are no mapping, or have a key with "scene" in it other than `scene_id`; other
@@ -310,7 +307,8 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
     def set_partner(self, agent: str, policy: EpisodePolicy, seed: int | None) -> None:
         """Let a policy act for an agent until the next reset, at the policy's own control period.
 
-        `agent` is "giver" or "receiver"; `step` ignores its actions. The run seed `seed` is used as in evaluations.
+        `step` then ignores actions that are passed for `agent`, "giver" or "receiver". The policy's seed is derived
+        from the run seed `seed`. So is the cameras' seed if `agent` is "receiver" and `obs_mode` has no camera data.
 
         Raises:
             PolicyError: The policy is a giver and fails at the start of the episode.
@@ -387,7 +385,7 @@ def draw_seeds(rng: np.random.Generator, config: WorldConfig) -> tuple[int, int]
     """Draw two 32-bit seeds: of the noise on the robot's initial joint positions, and of the cameras.
 
     The first seed is drawn from `rng`, or is 0 if the configuration has no such noise. The second seed is spawned from
-    `rng` and does not change the numbers that `rng` draws later.
+    the seed sequence of `rng`, so that it does not change the numbers that `rng` draws later.
     """
     robot_seed = int(rng.integers(2**32)) if config.initial_joint_noise else 0
     seeds = rng.bit_generator.seed_seq.spawn(1)  # type: ignore[attr-defined]

@@ -6,7 +6,7 @@ period.
 
 A shaping term (Ng et al., "Policy invariance under reward transformations", ICML 1999) is gamma times the potential
 after a step minus the potential before it; the potential is 0 once the episode has terminated. The discounted sum of a
-shaping term over an episode depends only on the first state, so that shaping does not change the optimal policy.
+shaping term over a terminated episode depends only on the first state: shaping does not change the optimal policy.
 """
 
 import functools
@@ -57,9 +57,9 @@ class StepBatch:
     """Last control step of r episodes, as arrays with the episode as first axis.
 
     Attributes:
-        states: Stored states (r, 4, 19) after the last four steps, the newest last; NaN before the start of an episode.
-            The constants `_TIME` to `_OFFERED` are their columns.
-        state: Whole state after the step, the arrays that `StepData.read_state` returns; {} if no term needs them.
+        states: Stored states (r, 4, 19), summaries of the last four states, the newest last; NaN before the start of an
+            episode. The constants `_TIME` to `_OFFERED` are the indices of the 19 columns.
+        state: Full state after the step, the arrays that `StepData.read_state` returns; {} if no term needs them.
         status: Bits (r,) of `EpisodeStatus` after the step.
         goal: (3,) position to which the gripper must bring the object, world frame (m).
         gamma: Discount factor of the shaping terms.
@@ -79,24 +79,24 @@ class StepBatch:
 
 
 def compute_outcome(outcome: EpisodeStatus, steps: StepBatch) -> AnyArray:
-    """Return (r,): 1 in episodes whose status after the step has the bit `outcome`, else 0."""
+    """Return 1.0 for episodes whose status after the step has the bit `outcome`, 0.0 for the others, (r,)."""
     return widen((steps.status & int(outcome)) != 0)
 
 
 def compute_distance_potential(steps: StepBatch, states: AnyArray) -> AnyArray:
-    """Return (r,) for stored states (r, 19): 1 if grasped, else 1 minus the distance (m) from fingertips to object."""
+    """Return potentials (r,) of stored states (r, 19): 1 if grasped, else 1 - distance (m) of fingertips to object."""
     fingertips = transform_points(states[:, _GRIPPER], make_constant(FINGERTIPS, states))
     is_grasped = states[:, _GRASPED]
     return 1.0 - (1.0 - is_grasped) * compute_lengths(fingertips - states[:, _OBJECT])
 
 
 def compute_grasp_potential(steps: StepBatch, states: AnyArray) -> AnyArray:
-    """Return (r,) for stored states (r, 19): 1 if both fingers touch the object, else 0."""
+    """Return potentials (r,) of stored states (r, 19): 1 if both fingers touch the object, else 0."""
     return states[:, _GRASPED]
 
 
 def compute_goal_potential(steps: StepBatch, states: AnyArray) -> AnyArray:
-    """Return (r,) for stored states (r, 19): 1 minus the distance (m) from hand link to goal if grasped, else 0."""
+    """Return potentials (r,) of stored states (r, 19): 1 - distance (m) from hand link to goal if grasped, else 0."""
     return states[:, _GRASPED] * (1.0 - compute_lengths(states[:, _HAND_LINK] - steps.goal))
 
 
@@ -111,13 +111,13 @@ def compute_shaping(potential: Callable[[StepBatch, AnyArray], AnyArray], steps:
 
 
 def compute_effort(steps: StepBatch) -> AnyArray:
-    """Return (r,): the squared speed at which the wrist's displacement changes, times the duration (m^2/s)."""
+    """Return the effort (r,) in m^2/s: squared speed of the wrist's displacement from the recording, times duration."""
     change = steps.states[:, -1, _DISPLACEMENT] - steps.states[:, -2, _DISPLACEMENT]
     return compute_lengths(change) ** 2 / steps.duration
 
 
 def compute_discomfort(steps: StepBatch) -> AnyArray:
-    """Return (r,): the wrist's displacement (m) plus a third of its rotation (rad), times the duration (s)."""
+    """Return the discomfort (r,): length of the wrist's displacement (m) + rotation (rad) / 3, times duration (s)."""
     deviation = widen(steps.state["deviation"])
     return (compute_lengths(deviation[:, 1:4]) + compute_lengths(deviation[:, 4:]) / 3.0) * steps.duration
 
@@ -131,9 +131,9 @@ def compute_path(position: slice, steps: StepBatch) -> AnyArray:
 
 
 def compute_jerk(position: slice, steps: StepBatch) -> AnyArray:
-    """Return (r,): the norm of the third difference of the positions in columns `position`, over duration^2 (m/s^2).
+    """Return the norms (r,) of the third difference of the last four positions, over duration^2 (m/s^2).
 
-    It is 0 if one of the four positions is NaN, or if the three steps between them differ in duration.
+    A norm is 0 if a position is NaN, or if the three steps differ in duration. For `position` see `compute_path`.
     """
     a, b, c, d = (steps.states[:, number, position] for number in range(_COUNT))
     jerk = compute_lengths(d - 3.0 * c + 3.0 * b - a) / steps.duration**2
@@ -143,14 +143,14 @@ def compute_jerk(position: slice, steps: StepBatch) -> AnyArray:
 
 
 def compute_clearance(steps: StepBatch) -> AnyArray:
-    """Return (r,): duration times (min(d, 0.1) - 0.1), with d of `compute_hand_distances` (m s); 0 without a hand."""
+    """Return duration * (min(d, 0.1) - 0.1), (r,) in m s, for distances d to the human hand; 0 without a hand."""
     distances, is_present = compute_hand_distances(steps.state), steps.state["hand_present"][:, 0] != 0.0
     missing = distances.clip(max=CLEARANCE_MARGIN) - CLEARANCE_MARGIN
     return widen(is_present) * missing * steps.duration
 
 
 def compute_hand_distances(state: Mapping[str, AnyArray]) -> AnyArray:
-    """Return distances (r,) in m from the open gripper's boxes to the nearest human hand joint in `StepBatch.state`."""
+    """Return the distances (r,) in m between the open gripper (four boxes) and the nearest human hand joint."""
     points = inverse_transform_points(state["gripper_pose"][:, None], state["hand_keypoints"])
     xp, points, centers, halves = as_arrays(points, GRIPPER_BOX_CENTERS, GRIPPER_BOX_HALF_SIZES)
     return xp.min(compute_box_distances(points[:, :, None] - centers, halves), axis=(1, 2)).clip(0.0)
@@ -242,9 +242,9 @@ class StepData:
 
     Attributes:
         status: Bits (r,) of `EpisodeStatus`.
-        read_state: Function of a flag, whether forces are needed. It returns arrays (r, ...) by key: the full state;
-            the giver's `deviation` and `holding`; `grasped` (r,), whether both fingers of the robot touch the object;
-            and, if needed, `robot_object_force` and `robot_hand_force` (r,), sums of the robot's normal forces (N).
+        read_state: Function that returns arrays (r, ...) by key: the full state; the giver's `deviation` and `holding`;
+            `grasped` (r,), whether both fingers of the robot touch the object; and, if its argument is True,
+            `robot_object_force` and `robot_hand_force` (r,), sums of the robot's normal forces (N).
         read_transitions: Function that returns the r transitions.
     """
 

@@ -25,7 +25,7 @@ class Transition:
 
     Attributes:
         observations: Observation before the step, by agent ("giver", "receiver"); elements of the observation spaces.
-            The receiver's depends on `obs_mode`; the giver's always contains the full state, see `state`.
+            The receiver's observation depends on `obs_mode`, the giver's always contains the full state.
         next_observations: Observation after the step, by agent.
         actions: Action by agent at the start of the step: giver (8,), clipped to its bounds; receiver (9,)
             target joint positions (rad, m); float32. A fixed partner may act again within the step.
@@ -52,12 +52,12 @@ class Transition:
 
     @property
     def state(self) -> Observation:
-        """Full state before the step, whatever the observation mode: the giver's observation."""
+        """Giver's observation before the step; it contains the full state in every observation mode."""
         return self.observations[GIVER]
 
     @property
     def next_state(self) -> Observation:
-        """Full state after the step, whatever the observation mode: the giver's observation."""
+        """Giver's observation after the step; it contains the full state in every observation mode."""
         return self.next_observations[GIVER]
 
     @property
@@ -78,9 +78,9 @@ class TransitionRecorder:
         self._step = 0
 
     def start(self, observations: Observations, infos: Mapping[str, Mapping[str, float]]) -> Transition:
-        """Start an episode with its first observations and infos by agent.
+        """Start an episode with its first observations and infos by agent; return a transition that changes nothing.
 
-        Returns a transition of one control period in which nothing moves.
+        The transition lasts one control period, replays the recording and keeps the robot's joint positions.
         """
         start = self._last = {agent: copy_read_only(own) for agent, own in observations.items()}
         self._step = 0
@@ -93,8 +93,8 @@ class TransitionRecorder:
     ) -> Transition:
         """Return the transition of a control step and keep its observations for the next one.
 
-        Observations are those after the step; `outcome` has the transition's fields `infos`, `contacts`, `status`,
-        `terminated` and `truncated`.
+        `observations` and `actions` are by agent, and the observations are those after the step. `outcome` has the
+        fields `infos`, `contacts`, `status`, `terminated` and `truncated` of the transition.
         """
         before, after = self._last, {agent: copy_read_only(own) for agent, own in observations.items()}
         duration = float(after[GIVER]["time"][0]) - float(before[GIVER]["time"][0])

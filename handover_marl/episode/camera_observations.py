@@ -71,10 +71,10 @@ def camera_observation_space(
 
     docs/reference/environment.md lists the keys of the camera "wrist"; keys of another camera start with its name.
     Points are in the frame of the link that carries the camera, or in the world frame without a link. Clouds of more
-    than 1024 points are subsampled without replacement, shorter ones padded with zeros; full clouds are padded, too. A
-    camera with latency shows earlier images; their points are in the link's current frame.
-    "full_pointcloud" is for methods that subsample the points themselves and need unrounded joints, as HandoverSim's
-    scripts for GA-DDPG do.
+    than 1024 points are subsampled without replacement, shorter ones padded with zeros; full clouds are padded to the
+    number of pixels. A camera with latency shows earlier images; their points are in the link's current frame.
+    "full_pointcloud" is for methods that subsample the points themselves and need the robot's joint positions in
+    float64, such as HandoverSim's scripts for GA-DDPG.
     """
     found = dict[str, spaces.Space[Any]]()
     for camera in resolve_cameras(cameras):
@@ -104,7 +104,7 @@ def _make_spaces(obs_mode: str, camera: CameraConfig) -> dict[str, spaces.Space[
 
 
 def resolve_cameras(cameras: Iterable[str | CameraConfig]) -> tuple[CameraConfig, ...]:
-    """Return the configurations of cameras, given as names or configurations; raise `OptionError` for equal names."""
+    """Return the configurations of cameras, given as names or configurations; raise `OptionError` if names repeat."""
     if isinstance(cameras, str) or not isinstance(cameras, Iterable):
         raise OptionError(
             f'cameras must be a tuple of names and CameraConfigs, got {cameras!r}; e.g. ("wrist", "front")'
@@ -180,14 +180,15 @@ BENCHMARK_SENSORS = SensorConfig()
 class CameraCapture:
     """Images (h x w pixels) and point clouds of the wrist camera at one step.
 
-    A camera with latency shows an earlier step; its points are in the hand link's current frame.
+    A camera with latency shows an earlier step. Points are in the current frame of the link that carries the camera,
+    by default the Panda's hand link.
 
     Attributes:
-        depth: (h, w) float32 depth along the viewing axis (m); just under 2 m for background.
+        depth: (h, w) float32 depth along the viewing axis (m); just under `far`, by default 2 m, for background.
         segmentation: (h, w) uint8 values of `SegmentationLabel`.
         rgb: (h, w, 3) uint8 colors.
-        object_points: (n, 3) float32 points of the handed-over object in the hand link's frame (m), in image order.
-        hand_points: (m, 3) float32 points of the human hand in the hand link's frame (m), in image order.
+        object_points: (n, 3) float32 points of the handed-over object (m), in the order of their pixels.
+        hand_points: (m, 3) float32 points of the human hand (m), in the order of their pixels.
     """
 
     depth: npt.NDArray[np.float32]
@@ -206,8 +207,8 @@ class CameraSensor:
     Args:
         config: Configuration of the cameras.
         physics: Kind of physics, "exact", "fast" or "mujoco".
-        physics_config: Poses of robot and table.
-        name: Name of the camera, one of `config`.
+        physics_config: World configuration, which has the poses of robot and table.
+        name: Name of the camera, one of `config.cameras`.
 
     Attributes:
         has_latency: Whether images are late or periodic; `record_snapshot` must then be called in every physics step.
@@ -249,7 +250,7 @@ class CameraSensor:
         self._last = self._episode_camera = None
 
     def record_snapshot(self, world: World, steps: int) -> None:
-        """Record the joint positions of `world` if the camera takes an image now, after `steps` physics steps."""
+        """Record the joint positions of `world` for an image, if the camera takes one after `steps` physics steps."""
         if steps % max(self._period, 1) == 0:
             self._history.append((steps, world.read_joint_snapshot()))
         noise = self._draw_camera().noise
@@ -314,7 +315,7 @@ class CameraSensor:
         return moved
 
     def _get_image(self, world: World, steps: int, content: _ImageContent) -> CameraImage:
-        """Return an image after `steps` physics steps with at least `content`; reuse the last one if it suffices."""
+        """Return an image with at least `content` after `steps` physics steps; reuse the last one if it is enough."""
         if self._last is not None and self._last[0] == steps and self._last[1] >= content:
             return self._last[2]
         camera, noise, _ = drawn = self._draw_camera()
@@ -329,10 +330,10 @@ class CameraSensor:
         return image
 
     def _draw_camera(self) -> CameraDraw:
-        """Return the camera of the current episode, with errors that are drawn at random for this episode.
+        """Return the camera of the current episode, with deviations drawn at random for this episode if configured.
 
         The random numbers depend on the seed, the camera's name and the objects' poses at the start. If they depended
-        on the scene's number, receivers could find out this number from the errors.
+        on the scene's number, receivers could find out this number from the deviations.
         """
         if self._episode_camera is None:
             self._episode_camera = CameraDraw(self._camera, self._config.noise, None)
@@ -361,7 +362,7 @@ class CameraSensor:
         return self._ray_camera.render_targets(snapshot, content == _ImageContent.OBJECTS, camera)
 
     def _subsample(self, cloud: Cloud, steps: int, stream_id: int) -> Cloud:
-        """Return `N_POINTS` points of a cloud (n, 3): a random subset in image order, or all points and zeros."""
+        """Return a cloud (n, 3) with 1024 points: a random subset in the order of pixels, or all points, then zeros."""
         if len(cloud) > N_POINTS:
             chosen = self._make_rng(cloud, steps, stream_id).choice(len(cloud), N_POINTS, replace=False)
             return cloud[np.sort(chosen)]

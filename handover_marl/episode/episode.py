@@ -29,8 +29,8 @@ class Episode:
     """Simulation of one handover episode at a time; environments and evaluations are built on it.
 
     Args:
-        physics: "exact" is HandoverSim's simulation bit for bit; "fast" simulates an object only after the robot
-            has come near it, or after the release; "mujoco" is another engine.
+        physics: "exact" equals HandoverSim's simulation in PyBullet bit for bit; "fast" is PyBullet, too, but simulates
+            an object only after the robot has come near it, or after the release; "mujoco" is another engine.
         config: Simulated world, protocol and limits of the giver.
         window: Whether to show PyBullet's window.
         sensors: Configuration of the cameras, whose images are rendered only when they are observed.
@@ -116,7 +116,7 @@ class Episode:
             motion.commit(plan, np.array([simulated]))
 
     def _simulate_rollout(self, world: World, target: list[float], steps: int) -> int | None:
-        """Simulate up to `steps` physics steps with joint targets `target` (9,) in one call; see `World.rollout`."""
+        """Simulate up to `steps` physics steps in one call; return their number, None if the engine cannot do this."""
         states = RefereeState(*(np.array([value]) for value in self._referee.get_state()))
         rules = self.config.protocol
         simulated = world.rollout(target, steps, make_judge(states, rules), rules)
@@ -167,7 +167,7 @@ class Episode:
         return select_receiver_observation(state, self.observe_camera(obs_mode), obs_mode)
 
     def observe_giver(self, state: Observation) -> Observation:
-        """Return the giver's observation, see `giver_observation_space`; `state` is what `observe` returns now."""
+        """Return the giver's observation, see `giver_observation_space`; `state` is the result of `observe` now."""
         own = observe_giver_motion(self._motion, ONLY_ROW)
         return {**state, **{key: values[0] for key, values in own.items()}}
 
@@ -217,7 +217,7 @@ class Episode:
 
     @property
     def object_offered(self) -> bool:
-        """Whether the person holds the object: has picked it up and has not released it."""
+        """Whether the person holds the object, i.e. has picked it up in the recording and has not released it."""
         return bool(self._motion.holding[0]) and not self._referee.released
 
     @property

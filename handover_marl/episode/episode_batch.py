@@ -16,10 +16,10 @@ _VOLUNTARY = RELEASE_REASONS.index(ReleaseReason.VOLUNTARY)
 class EpisodeBatch:
     """Batch of n handover episodes, simulated together by MuJoCo or MuJoCo Warp.
 
-    The episodes do not influence each other. Compared with `handover_marl.episode.episode.Episode`, an episode is equal
-    in MuJoCo, and equal to single precision in MuJoCo Warp. Methods apply to the r episodes whose indices are in the
-    argument `rows` (r,). Arrays are NumPy arrays in MuJoCo, and PyTorch tensors on the device in MuJoCo Warp. The
-    device's memory is free after `close`, once no tensor is in use any more.
+    The episodes do not influence each other. Each has the states of a single `handover_marl.episode.episode.Episode`:
+    exactly in MuJoCo, to single precision in MuJoCo Warp. Methods apply to the r episodes with the indices `rows` (r,).
+    Arrays are NumPy arrays in MuJoCo, and PyTorch tensors on the device in MuJoCo Warp. The device's memory is free
+    after `close`, once no tensor is in use any more.
 
     Args:
         config: Simulated world, protocol and limits of the givers.
@@ -70,7 +70,7 @@ class EpisodeBatch:
         self.state["object_classes"][row, :count] = self.arrays.asarray(scene.info.object_ids, "float32")
 
     def advance(self, rows: AnyIndices, robot_targets: AnyArray, steps: int, giver_actions: AnyArray) -> None:
-        """Simulate `steps` physics steps with constant actions; an episode that ends is not simulated further.
+        """Simulate `steps` physics steps with constant actions; steps after the end of an episode do not count.
 
         Args:
             rows: Indices (r,) of running episodes.

@@ -1,4 +1,7 @@
-"""Reference motion of human hands and objects, computed from recordings and the givers' actions."""
+"""Reference motion of hands and objects: joint targets, computed from recordings and the givers' actions.
+
+A recording has a frame for each physics step (1 ms). The target object is the one that is handed over.
+"""
 
 import functools
 from dataclasses import dataclass
@@ -42,7 +45,7 @@ _HALF = OBJECT_DOF // 2
 class NumpyRecordings:
     """Recordings of n givers as NumPy arrays.
 
-    The argument `rows` (r,) of methods has indices of r givers, and `frames` (r, k) has numbers of recorded frames.
+    The argument `rows` (r,) of methods has indices of r givers, and `frames` (r, k) has indices of recorded frames.
 
     Args:
         count: Number n of givers.
@@ -81,11 +84,9 @@ class NumpyRecordings:
 
 
 class TensorRecordings:
-    """Recordings as tensors, see `NumpyRecordings`; all stay on the device, one of DexYCB takes 1.1 MB.
+    """Recordings of n = `count` givers as tensors, with the methods of `NumpyRecordings`.
 
-    Args:
-        count: Number n of givers.
-        arrays: Creator of tensors on the device.
+    `arrays` creates the tensors. They stay on the device; a recording of DexYCB takes 1.1 MB.
     """
 
     def __init__(self, count: int, arrays: ArrayFactory) -> None:
@@ -121,8 +122,8 @@ class GiverState(NamedTuple):
     """Playback state of n givers, arrays (n, ...), or their states after each of k planned steps, (n, k, ...).
 
     Attributes:
-        clock: Playback time in frames, which need not be a whole number.
-        frame: Number of the current frame: `clock`, rounded, and at most the last frame.
+        clock: Playback time as a frame index, which need not be a whole number.
+        frame: Index of the current frame: `clock`, rounded, and at most the last frame.
         rate_offset: Playback rate minus 1.
         opening_progress: Progress of the hand's opening after a voluntary release, 0 to 1.
         offset: Displacement (m) and rotation vector (rad) of the wrist, (..., 2, 3).
@@ -163,11 +164,11 @@ class PlannedMotion:
 
 
 class GiverMotion:
-    """Playback of one recording for each of n givers, with the deviations that their actions set.
+    """Playback of one recording for each of n givers, with the deviations that the givers' actions request.
 
-    `plan` returns the motion of the next physics steps; `commit` applies the simulated steps. Hand and held object
-    deviate together, rigidly about the wrist, but only after the pick-up of the object: until then the hand must follow
-    the recording to reach the object. After its end, a recording stays at the last frame. Givers are independent.
+    `plan` returns the motion of the next physics steps; `commit` advances the playback by those that were simulated.
+    Hand and held object deviate together, rigidly about the wrist, but only after the pick-up of the object: until then
+    the hand must follow the recording to reach it. After its end, a recording stays at the last frame.
 
     Args:
         count: Number n of givers.
@@ -211,21 +212,21 @@ class GiverMotion:
 
     @property
     def holding(self) -> AnyArray:
-        """Whether each person has picked up the object, (n,); displacements take effect from the pick-up on."""
+        """Whether each person has picked up the object in the recording, (n,); stays True after a release."""
         return self.state.frame >= self._pick_up
 
     @property
     def deviation(self) -> AnyArray:
-        """(n, 7) playback rates minus 1, wrist displacements (m) and rotation vectors (rad), float32."""
+        """Current deviations (n, 7), float32: playback rate minus 1, wrist displacement (m), rotation vector (rad)."""
         xp, state = self._arrays.xp, self.state
         return xp.astype(xp.concat([state.rate_offset[:, None], state.offset.reshape(-1, 6)], axis=1), xp.float32)
 
     def read_previews(self, rows: AnyIndices) -> tuple[AnyArray, AnyArray]:
-        """Return the recorded world poses of the givers `rows` (r,) at the k future times in `GiverConfig.preview`.
+        """Return recorded world poses of the givers `rows` (r,), ahead of the current frame by `GiverConfig.preview`.
 
         Returns:
-            (r, k, 7) poses of the wrists, zeros without a hand, and (r, k, 7) poses of the target objects: xyz (m)
-            and quaternion xyzw, float32.
+            (r, k, 7) poses of the wrists, zeros without a hand, and (r, k, 7) poses of the target objects at the k
+            times of the preview: xyz (m) and quaternion xyzw, float32.
         """
         frames = self.state.frame[rows][:, None] + self._ahead
         poses = self._recorded.read_poses(rows, self._arrays.xp.minimum(frames, self._last_frame[rows][:, None]))
@@ -279,9 +280,9 @@ class GiverMotion:
         return PlannedMotion(rows, reference, states)
 
     def plan_until_release(self, rows: AnyIndices, steps: int, actions: AnyArray, *flags: AnyArray) -> PlannedMotion:
-        """Return the motion of at most `steps` and 200 physics steps; arguments as for `plan`.
+        """Return the motion of `steps`, at most 200, physics steps; arguments as for `plan`.
 
-        Requested releases take effect when the object is picked up, however steps are divided: the motion ends there.
+        A release that is requested before the pick-up takes effect at the pick-up; in this case, the motion ends there.
         """
         motion = self.plan(rows, min(steps, PLANNED_STEPS), actions, *flags)
         if _is_any_set(is_requested := requests_release(actions)):
@@ -356,7 +357,7 @@ class GiverMotion:
 
 
 def _is_any_set(flags: AnyArray) -> bool:
-    """Return whether any of the flags (r,) is set; always True for tensors, since reading them would take long."""
+    """Return whether any flag (r,) is set; always True for tensors, since reading them from a GPU would take long."""
     return is_tensor(flags) or bool(flags.any())
 
 
@@ -366,7 +367,7 @@ def requests_release(giver_actions: AnyArray) -> AnyArray:
 
 
 def count_steps_until_pick_up(pick_up_frames: AnyArray, current_frames: AnyArray, frames: AnyArray) -> AnyArray:
-    """Count the physics steps (r,), of the next k steps of r givers, that start before the object is picked up.
+    """Count how many (r,) of the next k physics steps of each of r givers start before the pick-up of the object.
 
     Args:
         pick_up_frames: Frames (r,) in which the objects are picked up.
@@ -393,9 +394,9 @@ def ramp_rates(rates: AnyArray, targets: AnyArray, max_slope: float, steps: int)
 
 
 def extend_hand_bases(scene: Scene) -> npt.NDArray[np.float32]:
-    """Return the hand's joint positions (T, 51; m, rad), with base poses also in frames without a hand.
+    """Return the hand's joint positions (n, 51; m, rad) in the n frames of a scene, with base poses in all frames.
 
-    These have the base pose of the nearest frame with a hand, so that an object held about the wrist does not jump.
+    Frames without a hand get the base pose of the nearest frame with one: an object moved with the wrist cannot jump.
     """
     if scene.hand_first is None or scene.hand_last is None:
         return scene.hand_dof
@@ -405,7 +406,7 @@ def extend_hand_bases(scene: Scene) -> npt.NDArray[np.float32]:
 
 
 def compute_recorded_poses(scene: Scene) -> npt.NDArray[np.float32]:
-    """Compute the recorded poses (n, 2, 7) of wrist and target object in all frames of a scene.
+    """Compute the recorded poses (n, 2, 7) of wrist and target object in the n frames of a scene.
 
     Poses are xyz (m) and quaternion xyzw in the world frame; zeros for the wrist in frames without a hand.
     """

@@ -66,9 +66,7 @@ class EpisodeCallback:
 
 
 class ActionRecorder(EpisodeCallback):
-    """Recorder of the receiver's action and planning time in every physics step.
-
-    HandoverSim's result files contain both.
+    """Recorder of the receiver's action and planning time in every physics step, for HandoverSim's result files.
 
     Attributes:
         actions: (T, 9) float32 actions; set at the end of an episode.
@@ -121,12 +119,12 @@ class EpisodePolicy(Protocol):
 
 
 def start_policy(policy: EpisodePolicy, seed: int | None, object_names: Sequence[str] = ()) -> None:
-    """Prepare a policy for an episode and start it; errors of its code become `PolicyError`.
+    """Prepare a policy for an episode and reset it; errors of the policy's code become `PolicyError`.
 
     Args:
         policy: Policy to start.
         seed: Seed of the policy.
-        object_names: Class names of the objects, the one that is handed over first.
+        object_names: Class names of the objects; the first object is handed over.
     """
     with _name_policy(policy, "reset"):
         policy.prepare(object_names)
@@ -134,7 +132,7 @@ def start_policy(policy: EpisodePolicy, seed: int | None, object_names: Sequence
 
 
 def call_policy(policy: EpisodePolicy, observation: Observation, step: int) -> tuple[Action, int]:
-    """Return a policy's action and the physics step of its next decision; errors of its code become `PolicyError`.
+    """Return a policy's action and the physics step of its next call; errors of the policy become `PolicyError`.
 
     Args:
         policy: Policy to call.
@@ -148,7 +146,7 @@ def call_policy(policy: EpisodePolicy, observation: Observation, step: int) -> t
 
 @contextlib.contextmanager
 def _name_policy(policy: EpisodePolicy, when: str, observation: Observation | None = None) -> Iterator[None]:
-    """Turn errors of a policy's code in a `with` block into a `PolicyError` with its name and `when` it failed."""
+    """Turn errors in a `with` block, except `HandoverError`, into a `PolicyError` with the policy's name and `when`."""
     try:
         yield
     except HandoverError:
@@ -176,11 +174,13 @@ class EpisodeAgent:
         agent: Agent that the policy acts for, "giver" or "receiver".
         policy: Policy; the observation of a receiver is empty if its attribute `obs_mode` is None.
         seed: Seed of the run.
-        inference_time: Simulated time of a call of the policy. Until this time has passed, the previous action stays
-            in effect (before the first action, the robot's joint positions are held), and there is no other call.
+        inference_time: Simulated time of a call of the policy (s), or `MEASURED`. Until it has passed, the previous
+            action stays in effect (before the first one, the robot holds its joint positions), and no call is made.
+            None: actions take effect at once.
 
     Attributes:
-        action: Action that is held; empty before the first decision.
+        agent: Agent that the policy acts for.
+        action: Action in effect; an empty array before the first decision.
         pending_action: Action that was decided and is not in effect yet, or None.
         next_decision_step: Physics step of the policy's next call.
         planning_time: Wall-clock time of the last call of the policy (s), without rendering.
@@ -211,11 +211,11 @@ class EpisodeAgent:
 
     @property
     def next_event(self) -> int:
-        """Next physics step in which the policy is to be called, or a decided action takes effect."""
+        """Physics step in which the pending action takes effect; without one, that of the policy's next call."""
         return self.next_decision_step if self.pending_action is None else self._effect_step
 
     def update(self) -> None:
-        """Put a decided action into effect if its inference time has passed."""
+        """Put the pending action, if there is one, into effect if its inference time has passed."""
         if self.pending_action is not None and self._episode.steps >= self._effect_step:
             self.action, self.pending_action = self.pending_action, None
 
@@ -226,10 +226,9 @@ class EpisodeAgent:
         return self.action
 
     def decide(self, state: Observation) -> None:
-        """Call the policy; the new action is pending during the inference time, then held until the next decision.
+        """Call the policy; its action is pending during the inference time, then in effect until the next one is.
 
-        Args:
-            state: Full state as `Episode.observe` returns it now.
+        `state` is the full state as `Episode.observe` returns it now; {} if the policy does not observe.
         """
         episode = self._episode
         if self._is_giver:
@@ -271,13 +270,13 @@ def run_episode(
         receiver: Policy of the robot; its observation is empty if its attribute `obs_mode` is None.
         giver: Policy of the person; None replays the recording.
         seed: Seed of the run, from which the seeds of policies and camera are derived.
-        until: Largest number of physics steps, or a function that returns True to end the loop. The function is
-            called after each decision, before the actions are applied.
+        until: Largest number of physics steps, or a function that returns True to end the loop, which calls it after
+            each decision, before the actions are applied.
         callbacks: Callbacks, called in this order.
         inference_time: Simulated time that passes during each call of the receiver, see `EpisodeAgent`.
 
     Returns:
-        Number of physics steps that passed during calls of the receiver.
+        Number of physics steps that passed while a decided action of the receiver was not in effect yet.
     """
     horizon = episode.config.protocol.horizon_steps
     end = horizon if until is None or callable(until) else min(int(until), horizon)
@@ -319,8 +318,8 @@ def run_episode(
 def derive_giver_seed(seed: int | None, scene_id: int) -> int:
     """Derive the seed of a giver: a hash of the run's seed (None is 0) and the scene number.
 
-    Only the giver may use this seed. If it also seeded draws that a receiver observes, such as camera noise, the
-    receiver could find the scene number by trying all numbers.
+    Only the giver may use this seed. If a receiver observed random draws with this seed, such as camera noise, it could
+    find the scene number by trying all numbers.
     """
     return derive_seed(seed, f"{scene_id} giver")
 
@@ -328,16 +327,16 @@ def derive_giver_seed(seed: int | None, scene_id: int) -> int:
 def derive_robot_seed(seed: int | None, scene: Scene) -> int:
     """Derive the seed of the robot's initial joint positions: a hash of the run's seed and the objects' first poses.
 
-    A receiver observes these joint positions. It must not learn the scene number from them, so that the seed depends on
-    observed values only. A run seed of None is 0.
+    A receiver observes these joint positions and must not learn the scene number from them. So the seed depends on
+    values that are observed anyway. A run seed of None is 0.
     """
     return derive_seed(seed, "robot", scene.object_dof[0])
 
 
 def derive_receiver_seed(seed: int | None, observation: Observation) -> int:
-    """Derive the seed of a receiver: a hash of the run's seed and the receiver's first observation.
+    """Derive the seed of a receiver: a hash of the run's seed (None is 0) and the receiver's first observation.
 
-    The seed differs between scenes. Apart from the run's seed (None is 0), it depends on the observation only.
+    Scenes with different first observations give different seeds; the scene number is not used.
     """
     others = observation.get("wrist_other_points")
     if others is not None and not others.any():

@@ -1,6 +1,7 @@
-"""Observations of giver and receiver: named arrays of fixed shape, float32 except for images.
+"""Observations of giver and receiver: named arrays of fixed shape.
 
-World frame; m, rad, s; quaternions xyzw.
+World frame; m, rad, s; quaternions xyzw. Arrays are float32, except for RGB and segmentation images (uint8) and
+`robot_joint_position_exact` (float64).
 """
 
 from collections.abc import Iterable
@@ -35,10 +36,9 @@ _POSE = 7
 
 
 def state_space(largest_class: int = LARGEST_YCB_CLASS) -> spaces.Dict:
-    """Return the space of the full state, which both agents share; docs/reference/environment.md lists its keys.
+    """Return the space of the full state of the simulation; docs/reference/environment.md lists the keys.
 
-    Args:
-        largest_class: Largest class number of objects, 21 for YCB classes.
+    `largest_class` is the largest class number of objects, 21 for YCB classes.
     """
     return spaces.Dict(
         {
@@ -63,7 +63,7 @@ def receiver_observation_space(
     """Return the receiver's observation space.
 
     Args:
-        obs_mode: Observation mode: state, camera data, or both; see `camera_observation_space`.
+        obs_mode: Observation mode: parts joined by "+", see `handover_marl.episode.spaces.OBS_PARTS`.
         largest_class: Largest class number of objects, 21 for YCB classes.
         cameras: Names or configurations of the cameras.
     """
@@ -76,10 +76,12 @@ def receiver_observation_space(
 def giver_observation_space(
     config: GiverConfig = OFFICIAL_CONFIG.giver, largest_class: int = LARGEST_YCB_CLASS
 ) -> spaces.Dict:
-    """Return the giver's observation space, which includes the full state; docs/reference/environment.md lists keys.
+    """Return the giver's observation space: the full state, recorded poses ahead, current deviation and `holding`.
+
+    docs/reference/environment.md lists the keys.
 
     Args:
-        config: Limits of the giver, with the preview times of recorded poses.
+        config: Configuration of the giver, with the preview times of recorded poses.
         largest_class: Largest class number of objects, 21 for YCB classes.
     """
     ahead = len(config.preview)
@@ -128,7 +130,7 @@ def select_receiver_observation(state: Observation, camera: Observation, obs_mod
 
 
 def observe_giver_motion(motion: GiverMotion, rows: AnyIndices) -> Observation:
-    """Return what the givers with indices `rows` (r,) observe in addition to the state: arrays (r, ...) by key."""
+    """Return the part of the observation that only givers have, as arrays (r, ...) of the givers `rows` (r,) by key."""
     wrist_poses, object_poses = motion.read_previews(rows)
     holding = motion.holding[rows, None]
     return {

@@ -183,7 +183,7 @@ class Referee:
 
 
 def make_judge(referees: RefereeState, rules: ProtocolConfig) -> JudgeFunction:
-    """Return a function that applies the rules of release and status to the contacts of a rollout.
+    """Return a function that applies the rules of release and status to the contacts of a rollout (`JudgeFunction`).
 
     Args:
         referees: Referee states of the n episodes in the rollout; the function updates these arrays.
@@ -208,9 +208,9 @@ def make_judge(referees: RefereeState, rules: ProtocolConfig) -> JudgeFunction:
 def judge_steps(
     before: RefereeState, contacts: RolloutContacts, config: ProtocolConfig
 ) -> tuple[AnyArray, RefereeState]:
-    """Apply the rules of release and status to k steps of n episodes, in each up to its first release or its end.
+    """Apply the rules of release and status to k steps of n episodes, in each one up to a release or its end.
 
-    The states are the same as with `Referee.update` after every step, but there is no loop over steps.
+    The states are the same as those of `Referee.update` called after every step.
 
     Args:
         before: Referee states before these steps, arrays or tensors; results are valid for running episodes only.
@@ -218,8 +218,7 @@ def judge_steps(
         config: Thresholds of the protocol's rules.
 
     Returns:
-        Index (n,) from 0 of the last step that was applied in each episode, and the referee
-        states after that step.
+        Indices (n,), 0 to k - 1, of the last step that was applied in each episode, and the states after this step.
     """
     xp = get_namespace(before.steps)
     n_steps = len(contacts.robot_touches_hand)
@@ -263,7 +262,7 @@ def judge_steps(
 
 
 def _is_uneventful(before: RefereeState, contacts: RolloutContacts) -> bool:
-    """Return whether only the time limit can end episodes: nothing is released, and the robot touches nothing."""
+    """Return whether only the time limit can end episodes: no release so far, and no contacts of the robot."""
     return not (
         (before.release_reason >= 0).any() or contacts.robot_touches_object.any() or contacts.robot_touches_hand.any()
     )

@@ -61,11 +61,7 @@ class SceneConfig:
 
     @property
     def sensors(self) -> SensorConfig:
-        """Configuration of the cameras.
-
-        Raises:
-            UnknownNameError, OptionError: Unknown camera model, noise or camera.
-        """
+        """Configuration of the cameras; raises `UnknownNameError` or `OptionError` if a field has a wrong value."""
         randomization = self.camera_randomization
         errors = CALIBRATION_ERRORS.get(self.camera_noise) if isinstance(self.camera_noise, str) else None
         if randomization is None or errors is None:

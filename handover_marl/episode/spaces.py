@@ -8,9 +8,11 @@ from handover_marl.config import OFFICIAL_CONFIG, PANDA_DOF, GiverConfig
 from handover_marl.errors import ActionError, UnknownNameError
 from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
 
-#: Parts of an observation mode, joined by "+": the simulator's state, and data of cameras.
-#: Without "state", an observation has camera data and, of the state, only the keys `observations.PROPRIOCEPTION` (joint
-#: positions and velocities, pose of the hand link, time), so that a policy cannot use the true poses by accident.
+#: Parts of an observation mode, joined by "+": "state" is the full state of the simulation, the others are camera data.
+#: "pointcloud" has 1024 points each of target object and hand, "scene_pointcloud" also of the other objects;
+#: "full_pointcloud" has all points of target object and hand, "point_map" a point for each pixel.
+#: Without "state", an observation has of the state only the keys `observations.PROPRIOCEPTION` (joint positions and
+#: velocities, pose of the hand link, time), so that a policy cannot use the true poses by accident.
 STATE, POINTCLOUD, SCENE_POINTCLOUD, FULL_POINTCLOUD = "state", "pointcloud", "scene_pointcloud", "full_pointcloud"
 DEPTH, SEGMENTATION, RGB, RGBD, POINT_MAP = "depth", "segmentation", "rgb", "rgbd", "point_map"
 OBS_PARTS = (STATE, POINTCLOUD, SCENE_POINTCLOUD, FULL_POINTCLOUD, DEPTH, SEGMENTATION, RGB, RGBD, POINT_MAP)
@@ -53,10 +55,10 @@ def receiver_action_space() -> spaces.Box:
 
 
 def giver_action_space(config: GiverConfig = OFFICIAL_CONFIG.giver) -> spaces.Box:
-    """Return the giver's action space, deviations from a recording; its components: docs/reference/environment.md.
+    """Return the giver's action space (8,), deviations from a recording; actions beyond the bounds are clipped.
 
-    Zeros replay the recording. Actions beyond the bounds are clipped. Set points are approached with limited speed and
-    take effect once the object has been picked up; see `handover_marl.config.GiverConfig`.
+    Components: playback rate minus 1; set points of the wrist's displacement (3; m) and rotation vector (3; rad), which
+    are approached at limited speed once the object is picked up; release if over 0.5. Zeros replay the recording.
     """
     high = np.array([1.0, *[config.displacement] * 3, *[config.rotation] * 3, 1.0], dtype=np.float32)
     low = -high
@@ -72,7 +74,7 @@ def check_receiver_action(action: object) -> npt.NDArray[np.float32]:
 
 
 def check_giver_action(action: object, space: spaces.Box) -> npt.NDArray[np.float32]:
-    """Return a giver's action as float32 (8,), clipped to the bounds of `space`; raise `ActionError` if invalid."""
+    """Return a giver's action as float32 (8,), clipped to `space`; raise `ActionError` unless 8 finite numbers."""
     values = check_vector("action of the giver", action, GIVER_ACTION_SIZE, "the deviation from the recording")
     return np.clip(values, space.low, space.high)
 

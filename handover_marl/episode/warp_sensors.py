@@ -24,8 +24,8 @@ _CHUNK = 64
 class WarpSensors:
     """Noise-free cameras of n episodes; images are rendered by ray casting with Warp.
 
-    Observations equal those of `CameraSensor` with the renderer "rays" to single precision, but another random subset
-    of points is chosen in clouds of more than 1024 points.
+    Observations equal those of `CameraSensor` with the renderer "rays" to single precision. Only the random subsets of
+    clouds with more than 1024 points differ.
 
     Args:
         obs_mode: Observation mode of the receiver, with point clouds or images.
@@ -50,11 +50,11 @@ class WarpSensors:
         self._seeds = arrays.zeros(count, "int64")
 
     def reset(self, row: int, assets: SceneAssets, seed: int) -> None:
-        """Prepare the cameras for an episode.
+        """Prepare the cameras for the episode with index `row`.
 
         Args:
             row: Index of the episode.
-            assets: Models of the scene.
+            assets: Models of robot, hand and objects in the scene.
             seed: Seed of the subsampling of point clouds, 32 bits.
         """
         self._camera.load_scene(row, assets)

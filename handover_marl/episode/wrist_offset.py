@@ -1,6 +1,7 @@
 """Rigid offsets of recorded hands about their wrists, and set-point tracking with limited speed and acceleration.
 
-Euler angles are intrinsic XYZ. Each body is moved by three prismatic and three revolute joints.
+An offset is a displacement (3; m) and a rotation vector (3; rad) about the wrist, world frame. A body (base of a hand,
+object) is moved by three prismatic and three revolute joints, whose positions are xyz and intrinsic XYZ Euler angles.
 """
 
 import numpy as np
@@ -65,7 +66,7 @@ def track_set_points(
 
 
 def delay_steps(values: AnyArray, delays: AnyArray) -> AnyArray:
-    """Delay values (d, k, 2, 3) of k steps by `delays` (d,) steps: zeros come first, the last values are left out."""
+    """Return values (d, k, 2, 3) of k steps, `delays` (d,) steps later: after zeros, and without the last values."""
     xp, (count, steps) = get_namespace(values), values.shape[:2]
     source = xp.arange(steps, device=values.device) - delays[:, None]
     delayed = values[xp.arange(count, device=values.device)[:, None], xp.clip(source, min=0)]
@@ -73,7 +74,7 @@ def delay_steps(values: AnyArray, delays: AnyArray) -> AnyArray:
 
 
 def move_with_wrists(bodies: AnyArray, offsets: AnyArray, wrists_in_base: AnyArray, previous: AnyArray) -> AnyArray:
-    """Move the hands and held objects of d givers rigidly with the offsets of their wrists.
+    """Move the hands and objects of d givers rigidly with the offsets of the givers' wrists.
 
     Args:
         bodies: Joint positions (d, k, 2, 6) of each hand's base and of its object in k steps: xyz (m), Euler angles
@@ -109,8 +110,8 @@ def move_with_wrists(bodies: AnyArray, offsets: AnyArray, wrists_in_base: AnyArr
 def _continue_euler(angles: AnyArray, previous: AnyArray) -> AnyArray:
     """Replace m sequences of Euler angles by equivalent ones (m, k, 3) that continue without a jump.
 
-    Of all Euler angles that describe a rotation, those nearest to the angles of the step before are chosen, by the sum
-    of absolute differences.
+    Of all Euler angles that describe a rotation, the result has those nearest to the angles of the step before, by the
+    sum of absolute differences.
 
     Args:
         angles: Sequences of Euler angles (m, k, 3).

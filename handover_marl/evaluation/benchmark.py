@@ -64,7 +64,7 @@ def benchmark(
         PolicyError: The receiver's code failed.
         OptionError: A value is out of range, an option needs `out`, the world or the giver is not the official one, or
             inference takes simulated time.
-        WorkerError: A worker process died; on Ray twice over the same scene.
+        WorkerError: A worker process died (on Ray twice over the same scene), or Ray cannot be reached.
     """
     config, execution = build_configs(options, setup=setup, split=split, receiver=receiver)
     (report,) = run_evaluations([("", config)], execution)
@@ -108,7 +108,7 @@ def run_evaluations(
     recordings are not simulated again. Reports are written to the folders. Errors are those of `benchmark`.
 
     Args:
-        parts: For each evaluation the subfolder of the output folder, "" for the folder itself, and the configuration.
+        parts: Pairs (subfolder of the output folder, configuration), one for each evaluation; "" is the folder itself.
         execution: Workers, output folder, replays and time series.
         recorded: Description of further recordings, such as demonstrations; stored in the folders' `config.yaml`.
         make_writer: Function from result folder and resolved configuration to the writer of these recordings.
@@ -153,7 +153,10 @@ def run_evaluations(
 def _prepare(
     config: EvaluationConfig, execution: ExecutionConfig, subfolder: str, recorded: str
 ) -> tuple[EvaluationConfig, ResultMetadata, ResultFolder | None, list[SceneTask]]:
-    """Check an evaluation and prepare its folder; return its resolved configuration, identity, folder and scenes."""
+    """Check an evaluation and prepare its folder; return resolved configuration, identity, folder and scene tasks.
+
+    The folder is None if nothing is written. With a shard, scenes and tasks are only those of the shard.
+    """
     check_name("replays", execution.replays, (REPLAYS_NONE, "failed", REPLAYS_ALL))
     for name, is_wanted in (("replays", execution.replays != REPLAYS_NONE), ("traces", execution.traces)):
         if is_wanted and execution.folder is None:
@@ -201,7 +204,7 @@ def _show_progress(
 ) -> Iterator[Callable[[EpisodeResult], None]]:
     """Show a progress bar with the success rate on stderr if enabled; yield a function that adds a finished scene.
 
-    Stored results of an earlier run in the same folder count as finished.
+    The bar has `n_scenes` scenes in all; `stored` results of an earlier run in the same folder count as finished.
     """
     n_finished, n_success = len(stored), sum(result.success for result in stored)
 
@@ -220,7 +223,10 @@ def _show_progress(
 
 
 def _check_same_outcome(stored: EpisodeResult | None, current: EpisodeResult) -> None:
-    """Raise `ResultsError` if `current`, simulated again for a recording, has another outcome than `stored`."""
+    """Raise `ResultsError` if a scene that was simulated again for a recording ended otherwise than its stored result.
+
+    Status, number of steps and release step are compared; `stored` is None for a scene without a stored result.
+    """
     before, now = (
         f"{result.status.label} after {result.steps} steps, release at {result.release_step}"
         for result in (stored or current, current)

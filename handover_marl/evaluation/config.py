@@ -44,7 +44,7 @@ class EvaluationConfig(SceneConfig):
             in effect, or "measured" for the wall-clock time; default: none, as in official results.
 
     Raises:
-        OptionError: The seed is not an integer, the data folder not a path, or the inference time not one of these.
+        OptionError: `seed`, `data_dir` or `inference_time` (0 to 10 s) is out of range or of the wrong type.
     """
 
     giver: PolicyLike = REPLAY
@@ -119,7 +119,7 @@ class ExecutionConfig(PoolConfig):
 
 
 def build_configs(options: Mapping[str, Any], **arguments: Any) -> tuple[EvaluationConfig, ExecutionConfig]:
-    """Build the configurations of evaluation and execution from their fields; `arguments` override `options`."""
+    """Build both configurations from values of their fields, by name; `arguments` override `options`."""
     names = {field.name for field in fields(ExecutionConfig)}
     given = {**options, **arguments}
     execution = ExecutionConfig(**{name: value for name, value in given.items() if name in names})
@@ -127,9 +127,10 @@ def build_configs(options: Mapping[str, Any], **arguments: Any) -> tuple[Evaluat
 
 
 def resolve_config(config: EvaluationConfig, trust: bool = False) -> tuple[EvaluationConfig, Dataset]:
-    """Check a configuration; return it with its setup, scenes and `PolicyReference`s filled in, and its dataset.
+    """Check a configuration; return a copy with all defaults filled in (a resolved configuration), and the dataset.
 
-    With `trust`, modules that policy files name may be imported.
+    A resolved configuration has the name of a setup, a tuple of scene numbers, the dataset's name, and policies as
+    `PolicyReference`s with labels and hashes. With `trust`, modules that policy files name may be imported.
     """
     check_name("split", config.split, SPLITS)
     check_physics(config.physics)
@@ -156,13 +157,13 @@ def format_inference_time(inference_time: InferenceTime | str) -> str:
 
 
 def set_dataset(config: EvaluationConfig, dataset: Dataset) -> EvaluationConfig:
-    """Return a copy of a configuration with the name of a given dataset, and its folder if it has one."""
+    """Return a copy of a configuration with the name of `dataset`, and the dataset's folder if it has one."""
     folder = dataset.source_folder
     return replace(config, dataset=dataset.name, data_dir=config.data_dir if folder is None else str(folder))
 
 
 def require_policy_reference(policy: PolicyLike) -> PolicyReference:
-    """Return a policy of a resolved configuration, a `PolicyReference`; raise TypeError for another value."""
+    """Return a policy of a resolved configuration (`resolve_config`); raise TypeError if it is no `PolicyReference`."""
     if not isinstance(policy, PolicyReference):
         raise TypeError("the configuration is not resolved; call resolve_config() first")
     return policy

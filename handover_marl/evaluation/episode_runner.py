@@ -52,11 +52,17 @@ FinishedEpisode: TypeAlias = tuple[EpisodeResult, tuple[bytes, ...]]
 
 
 class EpisodeRunner:
-    """Simulator of single scenes of an evaluation (resolved configuration), in this process.
+    """Simulator of single scenes of an evaluation, in this process.
 
-    `parallelism` is the number and location of the workers as text, stored beside timings; recorders of the `writers`
-    observe each episode. The attribute `giver` is None for the replayed one; the attribute `episode` simulates all
-    scenes one after the other, and has the state of the last one.
+    Args:
+        config: Resolved configuration, see `resolve_config`.
+        parallelism: Number and location of all workers as text, stored beside planning times.
+        writers: Writers of files for each episode; their recorders observe the episode.
+
+    Attributes:
+        receiver: The robot's policy.
+        giver: The person's policy, or None to replay the recording.
+        episode: Simulation of all scenes, one after the other; it has the final state of the last scene.
     """
 
     def __init__(self, config: EvaluationConfig, parallelism: str = "", writers: Sequence[EpisodeWriter] = ()) -> None:
@@ -73,7 +79,7 @@ class EpisodeRunner:
     def run(self, task: SceneTask, receiver: EpisodePolicy | None = None) -> FinishedEpisode:
         """Simulate a scene to the end of its episode; return the result and the content of each writer's file.
 
-        A `receiver` acts instead of the configured one.
+        If `receiver` is given, it acts in place of the configured receiver.
         """
         scene = self.dataset.load_scene(task.scene_id)
         fingerprint = self.dataset.compute_fingerprint(task.scene_id)
@@ -146,11 +152,11 @@ def _open_runner(
     writers: tuple[EpisodeWriter, ...],
     remote: tuple[str, str, list[PolicyBundle]] | None,
 ) -> Iterator[Callable[[SceneTask], FinishedEpisode]]:
-    """Yield the function that simulates a task.
+    """Yield the function that simulates a scene, and close the simulation afterwards.
 
-    On a node of a cluster, `remote` has the data folder that was passed on the main machine, the one in that machine's
-    environment ("" for none), and the policies with their files. The folder that was passed is used if the node has it,
-    else the one in the node's environment, else the one in the main machine's environment.
+    For nodes of a cluster, `remote` has the configuration's data folder and the folder of HANDOVER_MARL_DATA on the
+    main machine ("" for none), and the policies with their files. A node uses the first folder if it exists there, else
+    the folder of its own HANDOVER_MARL_DATA, else the second folder.
     """
     with contextlib.nullcontext("") if remote is None else TemporaryDirectory() as folder:
         if remote is not None:

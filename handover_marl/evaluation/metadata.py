@@ -34,7 +34,7 @@ _MAX_BYTES = 64_000  # HandoverSim's own configuration files have a few thousand
 
 @dataclass(frozen=True)
 class ResultMetadata:
-    """Identity of an evaluation; different evaluations never share a result folder.
+    """Identity of an evaluation, all values as text; different evaluations never share a result folder.
 
     Attributes:
         setup: Official setup, or a setup of other data.
@@ -49,7 +49,7 @@ class ResultMetadata:
         seed: Seed of policies, camera and initial joint positions.
         world: "official", or differences from the official world and rules; see `format_world_label`.
         wait_s: Time that the receiver waits before it approaches (s); empty if unknown.
-        robot: Robot model, with or without the wrist camera.
+        robot: Robot model, "panda" or, with the housing of a wrist camera, "panda_camera".
         obs_mode: Observation mode of the receiver.
         camera: Renderer, camera model and noise of the cameras; empty if the receiver uses none.
         recorded: Recordings kept beside the results; empty if there are none.
@@ -84,7 +84,8 @@ class ResultMetadata:
     def from_config(cls, config: EvaluationConfig, recorded: str = "", n_split_scenes: int = 0) -> "ResultMetadata":
         """Create the identity of an evaluation from its resolved configuration.
 
-        The number of scenes in the split, `n_split_scenes`, may be left out for an official setup.
+        The text `recorded` describes recordings beside the results, such as demonstrations. The number of scenes in the
+        split, `n_split_scenes`, may be left out for an official setup.
         """
         giver, receiver = require_policy_reference(config.giver), require_policy_reference(config.receiver)
         same = ("setup", "split", "physics", "dataset", "robot")
@@ -113,7 +114,7 @@ class ResultMetadata:
 
     @property
     def simulation_label(self) -> str:
-        """Physics as text, with a missing package, rules other than the official ones, and a seed other than 0."""
+        """Physics with unusual conditions as text, e.g. "exact physics without PyBullet, rules 1b2c3d4e, seed 1"."""
         without = f" without {self.missing_package}" if self.missing_package else ""
         rules = "" if self.world == OFFICIAL_WORLD else f", rules {self.world}"
         return f"{self.physics} physics{without}{rules}" + ("" if self.seed == "0" else f", seed {self.seed}")
@@ -124,7 +125,7 @@ class ResultMetadata:
         return {key: value for key, value in asdict(self).items() if value or key not in optional}
 
     def describe_differences(self, other: "ResultMetadata", location: str, other_location: str) -> list[str]:
-        """Return a text for each field that differs: "seed '0' in A, '1' in B" for the locations "in A" and "in B"."""
+        """Return a text for each different field, e.g. "seed '0' in A, '1' in B" for the locations "in A", "in B"."""
         return [
             f"{key.replace('_', ' ')} {value!r} {location}, {vars(other)[key]!r} {other_location}"
             for key, value in vars(self).items()
@@ -148,9 +149,9 @@ def format_world_label(config: WorldConfig) -> str:
 
 
 def parse_world_label(label: str) -> WorldConfig:
-    """Return the official world and rules with the noise of the initial joint positions that a label states.
+    """Return the official world and rules, with the noise of the initial joint positions if a label states only that.
 
-    Other differences from the official ones cannot be read from a label.
+    A label with a hash gives the official configuration, because its differences cannot be read from the hash.
     """
     noise = label.removeprefix(_NOISE_PREFIX)
     return OFFICIAL_CONFIG if noise == label else replace(OFFICIAL_CONFIG, initial_joint_noise=float(noise))
@@ -165,7 +166,7 @@ def format_config(metadata: ResultMetadata, config: WorldConfig = OFFICIAL_CONFI
 
 
 def read_result_metadata(path: Path) -> ResultMetadata:
-    """Read the identity of a result folder, of this library or of HandoverSim; raise ResultsError if that fails."""
+    """Read the identity of a result folder, of this library or of HandoverSim; raise ResultsError if it is invalid."""
     config_path, content = path / CONFIG_FILE, _read_yaml(path)
     try:
         benchmark, library = content["BENCHMARK"], content.get(_LIBRARY_SECTION)
@@ -215,7 +216,7 @@ def _describe_rules(config: WorldConfig) -> dict[str, Any]:
 
 
 def _read_yaml(folder: Path) -> dict[str, Any]:
-    """Return the sections of a result folder's `config.yaml`, by name."""
+    """Return the sections of a result folder's `config.yaml`, by name; raise ResultsError if it cannot be read."""
     path = folder / CONFIG_FILE
     try:
         content = read_yaml(path, _MAX_BYTES)

@@ -39,7 +39,7 @@ class TraceWriter(EpisodeWriter):
     suffix = ".csv"
 
     def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
-        """Return a callback that does nothing, and the function that returns the content of an episode's CSV file."""
+        """Return an empty callback, as every evaluation records the trace, and the function that encodes it as CSV."""
         return EpisodeCallback(), lambda _, trace: format_trace(trace).encode()
 
 

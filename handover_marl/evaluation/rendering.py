@@ -67,29 +67,24 @@ def render_scene(
     caption: bool = True,
     **options: Any,
 ) -> Path:
-    """Render a scene, or the episode of two policies in it, to a file.
+    """Render a scene, or the episode of two policies in it, to a file; return the path of the file.
 
     Args:
         scene_id: Number of the scene, 0 to 999 of official data.
-        out: Output file: `.png` for a grid of key frames, `.gif` or `.mp4` for a video, `.html` for
-            a page that replays the episode in 3D.
-        receiver: The robot's policy, as in `benchmark`; None keeps the robot at rest.
+        out: Output file: `.png` for a grid of key frames, `.gif` or `.mp4` for a video, `.html` for a 3D replay page.
+        receiver: The robot's policy, as in `benchmark`; None keeps the robot at rest until 0.5 s after the recording.
         giver: The person's policy, as in `evaluate_pair`.
         key_frames: Number of images of a `.png`, evenly spaced from start to end of the episode.
         camera: Pose, field of view and image size of the outside camera.
         view: "outside", or "wrist" for the outside image above colors, depth and segmentation of the wrist camera.
         caption: Whether images and videos show the simulated time and the state of the episode:
             "object touched", "released", "contact", "drop", "timeout" or "goal reached".
-        options: Fields of `handover_marl.EvaluationConfig` and `handover_marl.ExecutionConfig`, except those
-            for several scenes or for result folders, such as `split` and `workers`. The weights of some policies
-            depend on `setup`.
-
-    Returns:
-        Path of the written file.
+        options: Fields of `handover_marl.EvaluationConfig` and `handover_marl.ExecutionConfig`, except those for
+            several scenes or result folders, such as `split` and `workers`; `setup` selects weights of some policies.
 
     Raises:
-        OptionError: The file's suffix is unknown, a library for it is not installed, or a size is impossible.
-        ResultsError: The file cannot be written; raised before rendering.
+        OptionError: The file's suffix is unknown, a library for it is not installed, or a value is out of range.
+        ResultsError: The file cannot be written; raised before rendering if that can be foreseen.
         UnknownNameError: The view, or another name, is unknown.
         SceneError, DataNotFoundError, DataFormatError: As for `benchmark`.
     """

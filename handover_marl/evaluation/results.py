@@ -71,11 +71,11 @@ class EpisodeResult:
         object_name: Class of the object handed over, or None if unknown.
         subject: Person recorded in the scene, or None if unknown.
         side: Hand that gives the object, "right" or "left", or None if unknown.
-        n_objects: Number of objects on the table, or None if unknown.
-        models: Description of the model of the person's hand and of other substitutes for HandoverSim's models, or None
-            if unknown.
+        n_objects: Number of objects in the scene, or None if unknown.
+        models: Kind of hand model ("MANO hand") and substitutes for HandoverSim's other models; None if there is
+            nothing to describe, or if unknown.
         fingerprint: Hash of the scene's data files, or None if unknown.
-        machine: Machine on which `plan_s` was measured, or None if unknown.
+        machine: Machine and number of workers with which `plan_s` was measured, or None if unknown.
         fluency: Metrics beyond the official ones, or None if unknown.
         late_s: Simulated time that passed during decisions of the receiver (s); None without inference time.
         early_grab: Whether the fingers began to close before the person's offer, see `has_early_grab`; None without
@@ -128,12 +128,11 @@ EpisodeRecorder: TypeAlias = tuple[EpisodeCallback, Callable[[EpisodeResult, Epi
 class EpisodeWriter(ABC):
     """Writer of one file for each episode into the folder `path`, which is created if missing.
 
-    The main process writes; worker processes hold a pickled copy, which only creates recorders. Temporary files of
-    killed processes are removed.
+    The main process writes; worker processes hold a pickled copy, which only creates recorders. The constructor removes
+    temporary files that killed processes left in the folder more than a day ago.
 
     Attributes:
-        suffix: Suffix of the files. Arrays (.npz) are named after the scene's index in the split, other files after its
-            number, such as 209.csv.
+        suffix: Suffix of the files. Arrays (000.npz) are named by the scene's index, others (209.csv) by its number.
     """
 
     suffix = ".npz"
@@ -150,7 +149,7 @@ class EpisodeWriter(ABC):
 
     @abstractmethod
     def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
-        """Create the recorder of episodes, and the function that encodes its last recording, in one worker process.
+        """Create, in a worker process, the callback that records episodes and the function that encodes its recording.
 
         Args:
             config: Resolved configuration of the evaluation.
@@ -188,17 +187,17 @@ def find_numbered(folder: Path, suffix: str) -> dict[int, Path]:
 
 
 def find_recordings(folder: Path) -> list[Path]:
-    """Return the paths of all files that are kept beside the results: replay pages, time series and demonstrations."""
+    """Return the paths of the replay pages, time series, demonstrations and their description in a result folder."""
     kinds = ((REPLAYS, ".html"), (TRACES, ".csv"), (DEMONSTRATIONS, ".npz"))
     paths = [path for name, suffix in kinds for path in find_numbered(folder / name, suffix).values()]
     return [*paths, *(folder / DEMONSTRATIONS).glob(DEMONSTRATIONS_METADATA)]
 
 
 class ResultFolder(EpisodeWriter):
-    """Result folder of one evaluation, and the writer of its official result files; created if missing.
+    """Result folder of one evaluation, and writer of its official result files; the folder is created if missing.
 
-    The `config` is the content of its `config.yaml`, by default that for the official world and rules. Results of
-    another evaluation in the folder raise `ResultsError`; with `overwrite`, earlier results are deleted first.
+    The text `config` is written to a new `config.yaml`; by default, it has the identity `metadata` and the official
+    rules. A folder with another evaluation raises `ResultsError`; with `overwrite`, its results are deleted first.
     """
 
     def __init__(self, path: Path, metadata: ResultMetadata, config: str = "", overwrite: bool = False) -> None:
@@ -241,7 +240,7 @@ class ResultFolder(EpisodeWriter):
         return result
 
     def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
-        """Return a recorder of actions and planning times, and the function that makes a result file of them."""
+        """Return a recorder of actions and planning times, and the function that encodes both as a result file."""
         recorder = ActionRecorder()
         return recorder, lambda result, _: encode_result(result, recorder.actions, recorder.times)
 
@@ -284,7 +283,7 @@ def _check_scenes_differ(results: Sequence[EpisodeResult], path: Path) -> None:
 
 
 def _check_scalar(name: str, value: Any, kind: type) -> Any:
-    """Return a value that was read from a file as a Python number or text; raise a `TypeError` for another type."""
+    """Return a file's value as a Python `kind` (int, str, ...); raise `TypeError` for other types and unsafe text."""
     scalar: Any = value.item() if isinstance(value, np.generic) else value
     # Control characters could change a terminal that prints the report.
     text = scalar if isinstance(scalar, str) else ""
@@ -312,7 +311,7 @@ def read_result(path: Path) -> tuple[EpisodeResult, npt.NDArray[Any]]:
 
 
 def _parse_result(values: Mapping[str, Any]) -> EpisodeResult:
-    """Make the result of an episode from values of `EpisodeResult` and `FluencyMetrics` in a file."""
+    """Make a result from a file's values by field name; raise KeyError, TypeError or ValueError for impossible ones."""
     status, steps, plan_s = EpisodeStatus(int(values["status"])), int(values["steps"]), float(values["plan_s"])
     kinds = {"index": int} | {key: kind for key, kind in _EXTRAS.items() if values.get(key) is not None}
     known = {key: _check_scalar(key, values[key], kind) for key, kind in kinds.items()}
@@ -361,7 +360,7 @@ def format_episode_file(metadata: ResultMetadata, episodes: Iterable[EpisodeResu
 
 
 def read_episode_file(path: Path) -> tuple[ResultMetadata, list[EpisodeResult]]:
-    """Read an evaluation's identity and results, ordered by index, from an episode file, or raise `ResultsError`."""
+    """Read the identity and the results, by index, of an episode file; raise `ResultsError` if that fails."""
     try:
         content = json.loads(read_plain_file(path, _MAX_BYTES))
         content["metadata"].pop("shard", None)  # older files have it

@@ -57,9 +57,10 @@ _TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class Difference:
-    """Value of a result folder, named `key`, whose `stored` text differs from the simulated one, `expected`.
+    """Difference between a stored value of a result folder and the value of the new simulation, both as short texts.
 
-    The scene number is None for a value of the folder's reports and policies.
+    The `key` is the value's name in reports, e.g. "outcome" or "fluency.reach", or the name of a file. The scene number
+    is None for a value of the folder's reports and policies.
     """
 
     scene_id: int | None
@@ -75,7 +76,7 @@ class Verification(TabularResult):
     Attributes:
         metadata: Identity of the evaluation, as the folder states it.
         scenes: Numbers of the scenes that were simulated again, in the split's order.
-        differences: Values that differ, first in the scenes in their order, then in the folder's reports and policies.
+        differences: Values that differ, first in the scenes in their order, then in the folder's policies and reports.
         n_unreported: Number of results in the folder that its report does not contain.
     """
 
@@ -138,9 +139,9 @@ def verify(
 ) -> Verification:
     """Simulate the stored actions of a result folder and compare outcomes and metrics.
 
-    The receiver's code is not needed. The simulation uses the physics, robot, giver and seed that
-    the folder states. Statuses, steps, release steps and descriptions must be equal, metrics equal
-    up to rounding (1e-6). Planning and inference times, and label and hash of the receiver, cannot be verified.
+    The receiver's code is not needed. The simulation uses the physics, robot, giver and seed that the folder states.
+    Outcome, steps, release step and description of every scene must be equal, and metrics equal up to rounding (1e-6).
+    Planning and inference times, and label and hash of the receiver, cannot be verified.
 
     Args:
         folder: Result folder, of this library or of HandoverSim; nothing in it is changed.
@@ -154,7 +155,7 @@ def verify(
         trust: Whether modules may be imported that a policy file names, or that the folder names for its giver.
 
     Raises:
-        ResultsError: The folder cannot be read, or was made with another world.
+        ResultsError: The folder cannot be read, was made with another world, or has no result of these scenes.
         OptionError: `giver` must be passed, because the folder names one that is not registered.
         UnsafeFileError: The folder names a class of a module as its giver, and `trust` is not set.
         SceneError: A scene is not in the split.
@@ -214,7 +215,7 @@ def verify(
 
 
 def check_episode(runner: EpisodeRunner, folder: Path, same_version: bool, task: SceneTask) -> list[Difference]:
-    """Simulate a scene with its stored actions; return the differences from its result, or one for a damaged file."""
+    """Simulate a scene with its stored actions; return the differences, or a single one if the result is damaged."""
     file = get_result_path(folder, task.index)
     try:
         stored, actions = read_result(file)
@@ -225,10 +226,10 @@ def check_episode(runner: EpisodeRunner, folder: Path, same_version: bool, task:
 
 
 def compare_results(stored: EpisodeResult, simulated: EpisodeResult, same_version: bool) -> list[Difference]:
-    """Return the values in which a stored result differs from the simulated one, except for times of decisions.
+    """Return the differences between a stored and a simulated result, the outcome first.
 
-    Values that HandoverSim's files lack are skipped. Versions may compute hashes of data and descriptions of models
-    differently, so these are compared only if the `same_version` of the library stored the result.
+    Planning and inference times, and values that HandoverSim's files lack, are not compared. Versions of the library
+    may compute hashes of data and descriptions of models differently, so these are compared only with `same_version`.
     """
     values, expected = describe_episode(stored), describe_episode(simulated)
     skipped = {*_UNVERIFIED, *(() if same_version else _VERSIONED)}
@@ -273,7 +274,10 @@ def check_reports(path: Path) -> tuple[list[Difference], int]:
 
 
 def _compare_json(stored: Any, expected: Any, key: str = "") -> list[Difference]:
-    """Return the differences of two values of JSON types, named by the path below `key`; numbers may differ by 1e-6."""
+    """Return the differences of two values of JSON types; each is named by its path, such as "KEY.times[0]" for `key`.
+
+    A stored float may differ from the expected number by 1e-6, relative or absolute.
+    """
     if isinstance(stored, dict) and isinstance(expected, dict):
         names = sorted(stored.keys() | expected.keys())
         parts = [_compare_json(stored.get(name), expected.get(name), f"{key}.{name}".lstrip(".")) for name in names]
@@ -331,7 +335,7 @@ class StoredActions:
 
 
 def check_actions(path: Path, actions: npt.NDArray[Any], n_steps: int) -> Actions:
-    """Return actions (T, 9) of the file `path` as float32; raise `ResultsError` unless finite and T is `n_steps`."""
+    """Return a file's actions as float32; raise `ResultsError` unless they are finite floats (`n_steps`, 9)."""
     if actions.shape != (n_steps, PANDA_DOF) or actions.dtype.kind != "f" or not np.isfinite(actions).all():
         raise ResultsError(
             f"{path}: action must be finite float32 of shape ({n_steps}, {PANDA_DOF}), got {actions.dtype} "

@@ -25,7 +25,7 @@ def write_atomically(path: Path, content: bytes | str) -> None:
 
 
 def create_exclusively(path: Path, content: bytes | str) -> None:
-    """Write a file atomically, unless it exists already; several processes may do so at once.
+    """Write a file atomically, unless it exists already; if several processes do so at once, one of them writes it.
 
     Errors are those of `write_atomically`.
     """
@@ -145,7 +145,7 @@ def _write_temporary(path: Path, content: bytes | str) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def _lock(handle: int, on_wait: Callable[[], object]) -> Iterator[None]:
-    """Lock an open file or folder during a `with` block, then close it; call `on_wait` once before a wait."""
+    """Lock an open file descriptor during a `with` block, then close it; call `on_wait` before waiting for the lock."""
     try:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)

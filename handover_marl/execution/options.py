@@ -30,13 +30,12 @@ def forward_signature(
 ) -> Callable[[_Function], _Function]:
     """Return a decorator that replaces `**keywords` in a function's signature by the parameters of `sources`.
 
-    Help, documentation and editors then list these parameters. A call with another keyword raises an
-    `UnknownArgumentError`.
+    Help, documentation and editors then list these parameters. Other keywords raise `UnknownArgumentError`.
 
     Args:
         sources: Functions or dataclasses with the parameters.
-        without: Parameters that are not listed, each with advice. The `OptionError` for a value other than the default
-            contains this advice.
+        without: Parameters of `sources` that the function does not offer, each with advice for the user. A value other
+            than their default raises an `OptionError` with this advice.
         defaults: Defaults that replace those of the sources.
     """
 
@@ -69,15 +68,12 @@ def forward_signature(
 
 
 def count_available_cores() -> int:
-    """Return the number of processor cores that the current process may use.
-
-    The number respects the limits of containers and of the environment variable LOKY_MAX_CPU_COUNT.
-    """
+    """Return the number of cores that this process may use, with the limits of containers and LOKY_MAX_CPU_COUNT."""
     return int(loky.cpu_count())
 
 
 def resolve_worker_count(workers: int | None) -> int:
-    """Return the number of worker processes; None means one per core."""
+    """Return `workers`, or one per available core for None; raise `OptionError` unless it is a positive integer."""
     return count_available_cores() if workers is None else check_positive_integer("workers", workers)
 
 
@@ -89,8 +85,7 @@ class PoolConfig:
         workers: Number of worker processes; default: one per core. Results contain this number, since it affects
             planning times, which are wall-clock times.
         ray_address: Address of the Ray cluster whose nodes run the workers, as in `ray.init`: host:port, "auto" for the
-            cluster in RAY_ADDRESS or on this machine, or "local" to start one; default: processes of this machine,
-            without Ray.
+            cluster in RAY_ADDRESS or on this machine, or "local" to start one; default: no Ray, but local processes.
     """
 
     workers: int | None = None
@@ -118,7 +113,7 @@ def check_positive_integer(name: str, value: object) -> int:
 
 
 def check_boolean(name: str, value: object) -> None:
-    """Raise `OptionError` unless an option is True or False; text such as "no" would count as true."""
+    """Raise `OptionError` unless the value of the option `name` is True or False; a text like "no" would be truthy."""
     if not isinstance(value, bool):
         raise OptionError(f"{name} must be True or False, got {value!r}")
 
@@ -136,14 +131,14 @@ def is_pybullet_installed() -> bool:
 
 
 def require_modules(feature: str, extra: str, *modules: str, advice: str = "") -> None:
-    """Raise OptionError if one of `modules` is not installed; the message has `feature`, `extra` and `advice`."""
+    """Raise OptionError if a module is missing: "FEATURE needs MODULE: pip install 'handover-marl[EXTRA]'ADVICE"."""
     missing = [module for module in modules if not is_installed(module)]
     if missing:
         raise OptionError(f"{feature} needs {' and '.join(missing)}: pip install 'handover-marl[{extra}]'{advice}")
 
 
 def require_pybullet(feature: str, advice: str) -> None:
-    """Raise OptionError if PyBullet is not installed; the message has `feature` and `advice`."""
+    """Raise OptionError if PyBullet is not installed; the message names the `feature` and ends in `advice`."""
     if not is_pybullet_installed():
         raise OptionError(
             f"{feature} needs PyBullet, which is not installed (it has wheels up to Python 3.13); {advice}"

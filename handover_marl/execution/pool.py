@@ -45,10 +45,12 @@ _CONNECTION_TIMEOUT_S = 20.0
 
 
 class Pool:
-    """Pool of worker processes on this machine; a single worker is the caller's process.
+    """Pool of worker processes on this machine; a single worker, or a single task, runs in the caller's process.
 
-    `n_workers` tasks run at a time. `location` is the place of the workers, e.g. "on a Ray cluster", or "" for this
-    machine; `is_remote` is whether workers may run on machines that share no files with the main machine.
+    Attributes:
+        n_workers: Number of tasks that run at a time.
+        location: Location of the workers as text, e.g. "on a Ray cluster"; "" for this machine.
+        is_remote: Whether workers may run on machines that share no files with the main machine.
     """
 
     location: str = ""
@@ -118,8 +120,7 @@ class Pool:
 def _start_worker() -> None:
     """Prepare the current process as a worker.
 
-    Ctrl-C is left to the main process, which ends its workers. A worker exits when the main process is gone, even in
-    the middle of a task.
+    Ctrl-C is left to the main process, which ends its workers. A worker exits at once when the main process is gone.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = os.getppid()
@@ -133,10 +134,10 @@ def _start_worker() -> None:
 
 
 class RayPool:
-    """Pool of workers on the Ray cluster at `address`; nodes may join and leave. It has the methods of `Pool`.
+    """Pool of workers on the Ray cluster at `address`, with the interface of `Pool`; nodes may join and leave.
 
-    Each task runs on one core, and once more if its process or node dies. An existing connection of this process to Ray
-    is used; a new connection lasts as long as the process. `workers` tasks run at a time, by default one per core.
+    Each task runs on one core, and once more if the task's process or node dies. At most `workers` tasks run at a time;
+    None means one per core of the cluster. An existing connection of this process to Ray is used; a new one stays open.
     """
 
     location = "on a Ray cluster"
@@ -213,8 +214,8 @@ def run_ray_task(
 ) -> bytes:
     """Run a task of a job in a worker process of Ray and return its pickled result, see `run_pickled_task`.
 
-    The node must have the main machine's `versions` of packages. The main machine's import path, `search_path`, is
-    searched last.
+    The result is a pickled `WorkerError` if the node's packages differ from the main machine's `versions`. The main
+    machine's import path, `search_path`, is searched last.
     """
     installed = get_installed_versions()
     different = [f"{name} {installed[name]} there, {wanted} here" for name, wanted in versions.items()
@@ -242,9 +243,9 @@ def get_installed_versions() -> dict[str, str]:
 
 
 def _check_server(address: str) -> None:
-    """Check that something listens at "host:port" or "ray://host:port"; Ray itself would try for a quarter of an hour.
+    """Raise OSError if no server listens at "host:port" or "ray://host:port"; ignore other addresses such as "auto".
 
-    Other addresses such as "auto" are left to Ray.
+    Ray itself would try to connect for a quarter of an hour.
     """
     host, _, port = address.removeprefix("ray://").rpartition(":")
     if port.isdecimal():

@@ -39,9 +39,10 @@ def read_mtime(path: Path | str) -> int:
 def cached_by_file(
     maxsize: int | None, read_version: Callable[[Any], Hashable] = read_mtime
 ) -> Callable[[_Function], _Function]:
-    """Return a decorator that caches the last `maxsize` results of a function until the file that it reads changes.
+    """Return a decorator that caches results of a function that reads a file, until the file changes.
 
-    The file is the function's first argument; `read_version` reads its version, by default its modification time.
+    The file is the function's first argument. The cache keeps the last `maxsize` results, None for all; `read_version`
+    returns the file's version, by default the modification time.
     """
 
     def decorate(function: _Function) -> _Function:
@@ -72,14 +73,14 @@ def check_plain_file(path: Path, largest: int = MAX_FILE_BYTES) -> int:
 
 
 def read_plain_file(path: Path, largest: int = MAX_FILE_BYTES) -> bytes:
-    """Return the content of a plain file of at most `largest` bytes; see `check_plain_file` for errors."""
+    """Return the content of a plain file of at most `largest` bytes; errors are those of `check_plain_file`."""
     size = check_plain_file(path, largest)
     with path.open("rb") as stream:
         return stream.read(size)  # which may be less than the file has by now
 
 
 def check_archive(source: Path | bytes, largest: int) -> None:
-    """Raise ValueError if the files in a zip archive have more than `largest` bytes in all, as the archive states."""
+    """Raise ValueError if the stated sizes of a zip archive's unpacked files sum up to more than `largest` bytes."""
     if isinstance(source, Path):
         check_plain_file(source, largest + _MAX_ARCHIVE_OVERHEAD)
     with zipfile.ZipFile(io.BytesIO(source) if isinstance(source, bytes) else source) as archive:
@@ -107,7 +108,7 @@ def read_arrays(
 
 
 def read_yaml(path: Path, largest: int) -> object:
-    """Read numbers, text, lists and mappings from a YAML file of at most `largest` bytes; refuse aliases."""
+    """Read numbers, text, lists and mappings from a YAML file of at most `largest` bytes; aliases raise ValueError."""
     data = read_plain_file(path, largest)
     try:
         return yaml.load(data, _LoaderWithoutAliases)
@@ -129,8 +130,9 @@ class _LoaderWithoutAliases(yaml.SafeLoader):
 def report_damage(path: Path, what: str, advice: str) -> Iterator[None]:
     """Turn exceptions in a `with` block that reads a file into errors of the library.
 
-    The errors name the file, what it is (`what`), and what the user can do (`advice`). Errors that already name the
-    file are not changed.
+    A missing file gives `DataNotFoundError`, an unsafe pickle `UnsafeFileError`, anything else `DataFormatError`, whose
+    message also names the kind of file, `what`. All messages have the path and `advice`. Other errors of the library
+    are kept if their message begins with the path.
     """
     try:
         yield

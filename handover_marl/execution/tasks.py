@@ -21,7 +21,7 @@ OpenWorker: TypeAlias = Callable[[], AbstractContextManager[Callable[[Task], Res
 
 
 class _ProcessState:
-    """State of a worker process: its present job, and the function that the job has created."""
+    """State of a worker process: its present job, see `run_pickled_task`, and the function to apply to the tasks."""
 
     job_id: ClassVar[str] = ""
     job: ClassVar[tuple[OpenWorker[Any, Any], Callable[[Any], str]]]
@@ -43,7 +43,8 @@ def unpickle(pickled: bytes) -> Any:
 def run_pickled_task(job_id: str, pickled_job: bytes, pickled_task: bytes) -> bytes:
     """Run a task of a job in the current process; return the pickled result, or the pickled error of the task.
 
-    A job is a pair (open_worker, describe). The first task of a job frees the resources of the job before.
+    A job is a pair (open_worker, describe), see `Pool.map_unordered`. The first task of a job enters the context of
+    `open_worker`, after the context of the previous job has been closed.
     """
     state, description = _ProcessState, "a task"
     try:
@@ -63,7 +64,7 @@ def run_pickled_task(job_id: str, pickled_job: bytes, pickled_task: bytes) -> by
 
 
 def convert_error(error: Exception, description: str) -> HandoverError:
-    """Convert the error that is being handled to an error that can be pickled; `description` says what has failed."""
+    """Return a picklable error in place of `error`, the one being handled; `description` is text on the failed task."""
     # The cause is lost when an exception is pickled, so its traceback goes into the text.
     if isinstance(error, PolicyError):
         return PolicyError(f"{error}\n{traceback.format_exc()}")

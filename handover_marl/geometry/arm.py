@@ -1,7 +1,7 @@
-"""Forward kinematics of the Panda for many configurations, and a test for unreachable poses.
+"""Forward kinematics of the Panda for many configurations, a test for unreachable poses, and the interface of IK.
 
-Link frames and Jacobians are in the frame of the robot's base. The last axis of an array is for the n configurations,
-e.g. (3, n) points and (3, 3, n) rotations. In `ArmKinematics.compute_hand_jacobians`, this axis is the first.
+Link frames and Jacobians are in the frame of the robot's base. The axis of the n configurations is the last one in link
+frames and `compute_jacobian`, e.g. (3, n) origins; it is the first one in joints and `compute_hand_jacobians`.
 """
 
 from collections.abc import Sequence
@@ -45,11 +45,11 @@ class ArmKinematics:
     Links are numbered along the chain: 0-6 are the arm's, 7 is the hand, 8 and 9 are the fingers.
 
     Args:
-        tree: Kinematic tree of the Panda; one of another robot raises `SimulationError`.
+        tree: Kinematic tree of the Panda; a tree without the links of hand and fingers raises `SimulationError`.
 
     Attributes:
         link_names: Names of the ten links in the order of their numbers.
-        n_joints: Number of revolute joints.
+        n_joints: Number of revolute joints from base to hand, 7.
     """
 
     def __init__(self, tree: KinematicTree) -> None:
@@ -101,7 +101,7 @@ class ArmKinematics:
         )
 
     def compute_jacobian(self, chain: LinkFrames) -> Array:
-        """Compute base-frame hand Jacobians (6, 7, n), linear rows (m/rad) first, from `compute_chain_frames`."""
+        """Compute hand link Jacobians (6, 7, n), base frame, linear rows (m/rad) first, from `compute_chain_frames`."""
         (ax, ay, az), levers = chain.rotations[:-1, :, 2].swapaxes(0, 1), chain.origins[-1] - chain.origins[:-1]
         lx, ly, lz = levers.swapaxes(0, 1)
         return np.stack([ay * lz - az * ly, az * lx - ax * lz, ax * ly - ay * lx, ax, ay, az])
@@ -136,9 +136,10 @@ class ArmKinematics:
 
 
 class IndependentArmKinematics(ArmKinematics):
-    """Kinematics of a Panda; the result for a configuration is bit-equal whatever the other configurations are.
+    """Kinematics of a Panda, in which chain frames do not depend, to the last bit, on the other configurations.
 
-    Arguments and errors are those of `ArmKinematics`, which is slower for few configurations and faster for hundreds.
+    The frames of the fingers may depend on them. Arguments and errors are those of `ArmKinematics`, which is slower for
+    few configurations and faster for hundreds.
     """
 
     def __init__(self, tree: KinematicTree) -> None:
@@ -165,7 +166,7 @@ def solve_damped(jacobians: AnyArray, twists: AnyArray, damping: float | AnyArra
 
     Args:
         jacobians: Jacobians (n, 6, 7) of `ArmKinematics.compute_hand_jacobians`.
-        twists: Translations (m) and rotation vectors (rad) in the base frame.
+        twists: Small motions: translations (m), then rotation vectors (rad), in the base frame.
         damping: Damping factor; a larger one limits motions near singular configurations more.
     """
     xp, jacobian = get_namespace(jacobians), jacobians
@@ -181,7 +182,7 @@ def _combine(weights: Array, vectors: AnyArray) -> AnyArray:
 
 
 def transform_body_points(frames: LinkFrames, on_links: Sequence[Array]) -> Array:
-    """Transform k points (k, 3) on each of L links from link frames to the base frame: points (3, L * k, n) in m."""
+    """Transform k points (k, 3) on each of L links from link frames to the base frame: (3, L * k, n) in m, by link."""
     moved = [
         points @ rotation + origin[:, None]
         for points, origin, rotation in zip(on_links, frames.origins, frames.rotations, strict=True)
@@ -190,9 +191,9 @@ def transform_body_points(frames: LinkFrames, on_links: Sequence[Array]) -> Arra
 
 
 def _fixed_transform(tree: KinematicTree, link: int, ancestor: int) -> tuple[Array, Array]:
-    """Return offset (3,) and rotation (3, 3) of a link in an ancestor link's frame.
+    """Return offset (3,) in m and rotation (3, 3) of a link in an ancestor's frame; both are link numbers in `tree`.
 
-    Revolute joints are at zero, prismatic joints at the position of open fingers (m).
+    Revolute joints are at zero, prismatic joints at the position of open fingers. The base link has the number -1.
     """
     offset, turn = np.zeros(3), np.eye(3)
     while link != ancestor:
@@ -207,9 +208,9 @@ def _fixed_transform(tree: KinematicTree, link: int, ancestor: int) -> tuple[Arr
 class ReachabilityBound:
     """Test for poses of the hand link that the Panda cannot reach, by two necessary conditions.
 
-    Joint limits are ignored. The hand must not be farther from the shoulder than the arm is long. For a given
-    orientation, the wrist (origin of the last joint but one) can only be on a circle around the last joint's axis. At
-    least one point of that circle must be no farther from the shoulder than the arm without the hand is long.
+    Joint limits are ignored. The hand link must not be farther from the shoulder than the arm is long. At a given hand
+    orientation, the wrist (origin of `panda_joint6`) can only be on a circle around the axis of `panda_joint7`. At
+    least one point of that circle must be no farther from the shoulder than the arm is long up to the wrist.
 
     Args:
         world_from_base: (7,) pose of the robot's base, xyz (m) and quaternion xyzw.

@@ -29,7 +29,7 @@ _log = logging.getLogger(__name__)
 def get_cache_folder(kind: str) -> Path:
     """Return the folder `handover_marl/KIND` in the user's cache folder, which is XDG_CACHE_HOME or else ~/.cache.
 
-    For users without a home folder, as in some containers, `handover_marl/KIND` is in the folder for temporary files.
+    For users without a home folder, as in some containers, it is in `cache-UID` in the folder for temporary files.
     """
     folder = os.environ.get("XDG_CACHE_HOME")
     try:
@@ -42,7 +42,8 @@ def get_cache_folder(kind: str) -> Path:
 def get_cache_path(kind: str, urdf: Path, *parameters: bytes) -> Path:
     """Return the path of the cache file for an object model in the folder `get_cache_folder(kind)`.
 
-    The file name has a hash of the URDF file, its collision meshes and `parameters`: all other inputs of the arrays.
+    The file name has a hash of the URDF file, its collision meshes and `parameters`, which must be all other inputs
+    from which the arrays are computed.
     """
     digest = hashlib.sha256(b"".join(parameters))
     for path in (urdf, *list_mesh_files(urdf, "collision")):

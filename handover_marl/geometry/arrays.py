@@ -44,7 +44,8 @@ def get_namespace(*arrays: object) -> Any:
 def as_arrays(*values: Any) -> tuple[Any, ...]:
     """Return the common array namespace of values, followed by each value as an array of that namespace.
 
-    If a value is a tensor, all become tensors on its device. Numbers and lists get NumPy's type for them, e.g. float64.
+    If a value is a tensor, all become tensors on its device; tensors must be on one device. Numbers and lists get
+    NumPy's type for them, e.g. float64.
     """
     torch = sys.modules.get("torch")
     if torch is None or not any(isinstance(value, torch.Tensor) for value in values):
@@ -88,7 +89,7 @@ def expand_mask(mask: AnyArray, like: AnyArray) -> AnyArray:
 
 
 def stack_last(parts: Sequence[AnyArray]) -> AnyArray:
-    """Stack arrays of one shape along a new last axis."""
+    """Stack arrays of one shape and number type along a new last axis."""
     first = parts[0]
     if not isinstance(first, (np.ndarray, np.generic)):
         return get_namespace(first).stack(parts, axis=-1)
@@ -103,7 +104,7 @@ def stack_last(parts: Sequence[AnyArray]) -> AnyArray:
 def use_default_torch_settings() -> Iterator[None]:
     """Compute with PyTorch's initial settings in a `with` block: float32 in full precision, on the CPU, no autocast.
 
-    Results then do not depend on what the program has set. The settings are global: other threads get them too.
+    Results then do not depend on what the program has set. The float type and precision change for all threads.
     """
     import torch
 
@@ -171,7 +172,7 @@ class ArrayFactory:
         return self.xp.arange(count, dtype=self.xp.int64, device=self.device)
 
     def asarray(self, values: Any, dtype: str | None = None) -> AnyArray:
-        """Return values as an array of type `dtype`, None for their own type; tensors are copies of NumPy arrays."""
+        """Return values as an array of type `dtype`, None for their own type; NumPy arrays are copied to tensors."""
         own = values if is_tensor(values) else np.asarray(values)
         is_copied = None if is_tensor(own) or self.xp is np else True
         number_type = None if dtype is None else self._get_dtype(dtype)
@@ -197,7 +198,7 @@ def make_tensor_factory(device: Any) -> ArrayFactory:
 
 
 class GrowableArray:
-    """Array of rows of one shape that grows: its capacity is at least doubled whenever it is full.
+    """Array of rows of one shape that grows: its capacity is at least doubled whenever it is too small.
 
     Args:
         arrays: Creator of the array.

@@ -40,16 +40,14 @@ class DistanceField:
     cell: float
 
     def compute_distances(self, points: Floats) -> Floats:
-        """Interpolate signed distances (n,) in m, negative inside, at points (3, n) in m in the surface's frame.
-
-        Points outside the grid get `OUTSIDE_DISTANCE`, 1 m.
-        """
+        """Return distances (n,) in m at points (3, n) in m, surface frame: negative inside, 1 m outside the grid."""
         return self.compute_distances_and_gradients(points, with_gradients=False)[0]
 
     def compute_distances_and_gradients(self, points: Floats, with_gradients: bool = True) -> tuple[Floats, Floats]:
         """Interpolate signed distances (n,) in m and gradients (3, n) at points (3, n) in m in the surface's frame.
 
-        Distances are negative inside. Points outside the grid get `OUTSIDE_DISTANCE`, 1 m, and a gradient of zero.
+        Distances are negative inside. Points outside the grid get `OUTSIDE_DISTANCE`, 1 m, and a gradient of zero. If
+        `with_gradients` is false, the gradients are an empty array (3, 0).
         """
         nodes = (points - self.lower.astype(np.float32)[:, None]) / np.float32(self.cell)
         highest = np.array(self.values.shape)[:, None] - 1
@@ -67,7 +65,7 @@ class DistanceField:
         return distances, gradients
 
     def _get_corner_values(self, first: npt.NDArray[np.int32]) -> Floats:
-        """Return distances (2, 2, 2, n) at the corners of n cells with lowest nodes (3, n)."""
+        """Return distances (2, 2, 2, n) in m at the corners of n cells, given the grid indices (3, n) of the lowest."""
         _, ny, nz = self.values.shape
         at = (first[0] * ny + first[1]) * nz + first[2]
         steps = (np.arange(2)[:, None, None] * ny + np.arange(2)[:, None]) * nz + np.arange(2)
@@ -104,8 +102,8 @@ def _differentiate_trilinear(corners: Floats, fraction: Floats) -> Floats:
 def load_object_sdf(urdf: Path, margin: float) -> DistanceField:
     """Load the signed distance field of an object's collision shapes from the cache, or compute and cache it.
 
-    The field is in the frame of the link that has the shapes, which may overlap and have holes. The grid extends
-    `margin` (m) beyond the shapes. Computing a field needs libigl (extra `planning`).
+    The field is in the frame of the shapes' link. The shapes may overlap and have holes. The grid extends `margin` (m)
+    beyond them. Computing a field needs libigl (extra `planning`).
     """
     path = get_cache_path(CACHE_KIND, urdf, f"{_VERSION} {_CELL} {margin}".encode())
     arrays = load_cached_arrays(path, ("values", "lower", "cell"), "distance field")

@@ -1,6 +1,6 @@
 """Kinematic trees read from URDF files: forward kinematics of many configurations, or many models, at once.
 
-Links are numbered as Bullet numbers them. Quaternions are xyzw.
+Links are numbered from 0, depth first, as in Bullet; the base link has the number -1. Quaternions are xyzw.
 """
 
 import xml.etree.ElementTree as ET
@@ -41,9 +41,9 @@ class TreeJoint:
     Attributes:
         link: Name of the child link.
         parent: Number of the parent link, -1 for the base.
-        kind: URDF joint type.
-        offset: (3,) origin of the joint in the parent's frame (m).
-        rotation: (3, 3) orientation of the joint in the parent's frame.
+        kind: URDF joint type: "revolute", "continuous", "prismatic" or "fixed".
+        offset: (3,) origin of the joint in the frame of the parent link (m).
+        rotation: (3, 3) rotation matrix from the joint's frame to that of the parent link.
         axis: (3,) unit axis in the joint's frame.
     """
 
@@ -59,11 +59,11 @@ class TreeConstants(NamedTuple):
     """Constants of the L joints of one tree, or of a batch (...) of trees with the same joint types.
 
     Attributes:
-        offsets: Origins (..., L, 3) of the joints in the parents' frames (m).
-        rotations: Orientations (..., L, 3, 3) of the joints in the parents' frames.
-        cross: Cross-product matrices (..., L, 3, 3) of the axes of revolute joints, else zeros.
-        cross_squared: Squares (..., L, 3, 3) of these matrices.
-        prismatic_axes: Axes (..., L, 3) of prismatic joints in the parents' frames, else zeros.
+        offsets: Origins (..., L, 3) of the joints in the frames of the parent links (m).
+        rotations: Rotation matrices (..., L, 3, 3) from the joints' frames to those of the parent links.
+        cross: Cross-product matrices (..., L, 3, 3) of the axes of revolute joints, zeros for other joints.
+        cross_squared: Squares (..., L, 3, 3) of the matrices `cross`.
+        prismatic_axes: Axes (..., L, 3) of prismatic joints in the parent links' frames, zeros for other joints.
     """
 
     offsets: AnyArray
@@ -74,15 +74,15 @@ class TreeConstants(NamedTuple):
 
 
 class KinematicTree:
-    """Kinematic tree of a URDF model; links are numbered depth first without the base link.
+    """Kinematic tree of a URDF model with L links besides the base link, numbered depth first from 0.
 
     Attributes:
         joints: Joints by link number; joint i connects link i to its parent link.
         n_dof: Number of moving joints.
-        moving_links: Child links of the moving joints, in the order of the joint positions.
+        moving_links: Numbers of the child links of the moving joints, in the order of the joint positions.
         constants: Constants of the joints.
-        columns: Index (L,) of each link's joint in the joint positions. Fixed joints have the index `n_dof`, that of an
-            appended zero.
+        columns: Index (L,) of each link's joint in the joint positions (d,) with a zero appended; fixed joints have the
+            index `n_dof`, that of the zero.
         levels: Pair of arrays for each depth of the tree, from the base's grandchildren on: the numbers of the links
             at this depth, and of their parents.
     """
@@ -111,10 +111,7 @@ class KinematicTree:
         self.levels = [(links, parents[links]) for links in levels]
 
     def compute_link_frames(self, dof: npt.ArrayLike) -> tuple[Array, Array]:
-        """Compute origins (n, L, 3) in m and rotations (n, L, 3, 3) of all links in the base link's frame.
-
-        `dof` (n, d) are the positions of the moving joints (rad, m).
-        """
+        """Compute base-frame origins (n, L, 3) in m and rotations (n, L, 3, 3) of links at joints (n, d) (rad, m)."""
         values = np.asarray(dof, dtype=np.float64)
         values = np.concatenate([values, np.zeros((len(values), 1))], axis=1)[:, self.columns]
         return compute_tree_frames(self.constants, self.levels, values)
@@ -132,8 +129,8 @@ class KinematicTree:
     def compute_reach(self, link: int, spheres: Mapping[int, BoundingSphere]) -> float:
         """Compute an upper bound (m) on the distance from a link's origin to any point of the link or its descendants.
 
-        `spheres` maps the number of a link to the bounding sphere of its shapes. Revolute joints may have any position,
-        prismatic joints are at zero.
+        `spheres` maps the number of a link to the bounding sphere of its shapes. The bound holds for all positions of
+        revolute joints, and for prismatic joints at zero.
         """
         reaches: dict[int, float] = {}
         # Children follow their parents.
@@ -162,8 +159,8 @@ def compute_tree_frames(
 ) -> tuple[AnyArray, AnyArray]:
     """Compute origins (..., L, 3) in m and rotations (..., L, 3, 3) of L links in the base link's frame.
 
-    The constants, arrays or tensors, broadcast to the batch; `levels` are `KinematicTree.levels`; `values` (..., L)
-    are the positions of the links' joints (rad, m), 0 for fixed joints.
+    The positions of the links' joints are `values` (..., L) in rad or m, 0 for fixed joints. The constants broadcast to
+    their batch axes; `levels` are `KinematicTree.levels`. All are NumPy arrays, or all are tensors.
     """
     xp = get_namespace(values)
     sines, cosines = xp.sin(values)[..., None, None], xp.cos(values)[..., None, None]
@@ -230,10 +227,9 @@ def matrix_from_rpy(rpy: str) -> Array:
 def compute_link_trajectory(
     urdf: Path, dof: npt.ArrayLike, world_from_base: npt.ArrayLike = IDENTITY
 ) -> tuple[Array, Array]:
-    """Compute the link frames of a URDF model in the world for joint positions (n, d) over time and a base pose (7,).
+    """Compute world origins (n, L, 3) in m and rotations (n, L, 3, 3) of the links of a URDF model.
 
-    Returns:
-        Origins (n, L, 3) of the L links (m), and rotation matrices (n, L, 3, 3) from link to world frame.
+    Its joint positions at n times are `dof` (n, d) in rad or m; `world_from_base` (7,) is the pose of its base link.
     """
     origins, rotations = read_tree(urdf).compute_link_frames(dof)
     base = np.asarray(world_from_base, dtype=np.float64)
@@ -241,7 +237,7 @@ def compute_link_trajectory(
 
 
 class TreeBatch:
-    """Kinematic trees of several models on one device; the models have the same joints, but links of any size.
+    """Kinematic trees of several URDF models on one device; the trees have the same structure, but links of any size.
 
     Args:
         noun: Plural noun for the models in error messages, e.g. "hands".
@@ -256,7 +252,7 @@ class TreeBatch:
         self._levels: Sequence[tuple[AnyArray, AnyArray]] = ()
 
     def add(self, urdf: Path) -> int:
-        """Copy a model, with the same joints as the first one, to the device, unless it is there; return its number."""
+        """Return the number of a model, copied to the device if new; raise `OptionError` for another structure."""
         key = urdf, urdf.stat().st_mtime_ns
         if key not in self._numbers:
             self._numbers[key] = self._add(urdf)
@@ -265,8 +261,8 @@ class TreeBatch:
     def compute_link_frames(self, numbers: AnyArray, joints: AnyArray) -> tuple[AnyArray, AnyArray]:
         """Compute base-frame origins (r, k, L, 3) in m and rotations (r, k, L, 3, 3) of the links of r models.
 
-        `numbers` (r,) are the models' numbers that `add` returned; `joints` (r, k, d) are k configurations of each
-        model (rad, m), float64.
+        `numbers` (r,) are the models' numbers from `add`; `joints` (r, k, d) are k configurations of each model (rad,
+        m), float64.
         """
         xp = self._arrays.xp
         constants = TreeConstants(*(array.rows[numbers][:, None] for array in self._constants))

@@ -1,4 +1,4 @@
-"""Constants of the Franka Panda, and the ranking of grasps by Yang et al. (ICRA 2021) for it.
+"""Constants of the Franka Panda, among them those of the grasp ranking by Yang et al. (ICRA 2021).
 
 Lengths are in m, angles in rad, quaternions xyzw.
 """
@@ -34,7 +34,7 @@ WAITING_JOINTS = (-0.0593, -1.6124, -0.1970, -2.5300, -0.0952, 1.6780, 0.5870, O
 #: Pose (7,) of the hand link in the gripper frame of HandoverSim's grasps: a rotation by 90 degrees about z.
 GRIPPER_FROM_HAND = (0.0, 0.0, 0.0, 0.0, 0.0, 0.7071068, -0.7071068)
 
-#: Pose (7,) of the equivalent grasp: the gripper rotated by 180 degrees about its approach axis.
+#: Pose (7,) of the equivalent grasp in the hand link's frame: rotated by 180 degrees about the approach axis z.
 HALF_TURN = (0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
 
 #: Polyline of the gripper in the hand link's frame, from fingertip over palm to fingertip.

@@ -1,8 +1,8 @@
 """Rigid poses as arrays (..., 7): position xyz (m) and quaternion xyzw.
 
-A pose `a_from_b` maps coordinates in frame b to coordinates in frame a. Quaternions are not normalized. In
-`transform_points` and `compose`, results of float32 arrays are float32, because the outcome of an episode can depend on
-the last bit. Results of mixed arrays, and of all other functions, are float64.
+A pose `a_from_b` maps coordinates in frame b to coordinates in frame a. Its quaternion must have length 1, and is not
+normalized. In `transform_points` and `compose`, results of float32 arrays are float32, because the outcome of an
+episode can depend on the last bit. Results of mixed arrays, and of all other functions, are float64.
 
 Functions whose arguments are `AnyArray` also take PyTorch tensors, and return tensors on the same device.
 """

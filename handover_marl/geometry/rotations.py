@@ -1,7 +1,7 @@
 """Rotations: unit quaternions (..., 4) xyzw, matrices (..., 3, 3), rotation vectors (..., 3) and Euler angles (..., 3).
 
-Euler angles are intrinsic XYZ angles in rad. Some functions convert NumPy arrays with SciPy, which needs one batch axis
-(n,). They convert tensors, with any batch axes, by the same formulas in double precision.
+Euler angles are intrinsic XYZ angles in rad. Conversions of arrays (n, ...) use SciPy for NumPy arrays, which needs one
+batch axis; tensors may have any batch axes, and are converted by the same formulas in double precision.
 """
 
 import warnings
@@ -85,15 +85,15 @@ def matrices_from_quaternions(quaternions: AnyArray) -> AnyArray:
 def quaternions_from_matrices(matrices: AnyArray) -> AnyArray:
     """Convert rotation matrices (..., 3, 3) to unit quaternions (..., 4) xyzw (Shepperd's method).
 
-    Recent SciPy versions orthogonalise the matrix first and older ones do not, which changes the eighth digit for
-    matrices stored as float32; this function gives the same bits with every SciPy version.
+    SciPy is not used: its recent versions orthogonalize the matrices first and older ones do not, which changes the
+    eighth digit of the results for float32 matrices.
     """
     q = unnormalized_quaternions_from_matrices(matrices)
     return q / get_namespace(q).sqrt(q[..., None, :] @ q[..., :, None])[..., 0]
 
 
 def unnormalized_quaternions_from_matrices(matrices: AnyArray) -> AnyArray:
-    """Convert rotation matrices (..., 3, 3) to quaternions (..., 4) xyzw, scaled by 4 times their largest entries."""
+    """Convert rotation matrices (..., 3, 3) to unit quaternions (..., 4) xyzw, each times 4 times its largest entry."""
     xp, given = as_arrays(matrices)
     m = xp.astype(given, xp.float64, copy=False)
     trace = m[..., 0, 0] + m[..., 1, 1] + m[..., 2, 2]
@@ -199,7 +199,7 @@ def quaternions_from_euler(angles: AnyArray) -> AnyArray:
 
 
 def _euler_solutions(angles: AnyArray) -> AnyArray:
-    """Return both triples (n, 2, 3) of XYZ Euler angles of each rotation `angles` (n, 3), up to multiples of 2 pi."""
+    """Return both triples (n, 2, 3) of XYZ Euler angles (rad) of the rotations `angles` (n, 3), up to full turns."""
     xp, own, half_turns, signs = as_arrays(angles, np.array([np.pi, np.pi, np.pi]), np.array([1.0, -1.0, 1.0]))
     return xp.stack([own, half_turns + own * signs], axis=1)
 
@@ -207,8 +207,8 @@ def _euler_solutions(angles: AnyArray) -> AnyArray:
 def find_nearest_euler_branch(angles: AnyArray, previous: AnyArray) -> tuple[AnyArray, AnyArray]:
     """Find the XYZ Euler angles of the rotations `angles` (n, 3) that are nearest to `previous` (n, 3) (rad).
 
-    Each rotation has two triples of angles, up to full turns. Returns the number (n,) of the nearest triple, 0 for the
-    one in `angles` and 1 for the other, and the numbers (n, 3) of full turns to add to this triple.
+    Two triples of angles give the same rotation, each up to full turns. Returns the number (n,) of the nearest triple,
+    0 for the one in `angles` and 1 for the other, and the numbers (n, 3) of full turns to add to this triple.
     """
     xp = get_namespace(angles)
     solutions = _euler_solutions(angles)
@@ -219,7 +219,7 @@ def find_nearest_euler_branch(angles: AnyArray, previous: AnyArray) -> tuple[Any
 
 
 def find_nearest_euler(angles: AnyArray, previous: AnyArray) -> AnyArray:
-    """Return the XYZ Euler angles (n, 3) of rotations `angles` (n, 3) that are nearest to `previous` (n, 3) (rad)."""
+    """Return the XYZ Euler angles (n, 3) in rad nearest to `previous` (n, 3) for the rotations `angles` (n, 3)."""
     xp, solutions = get_namespace(angles), _euler_solutions(angles)
     solution, turns = find_nearest_euler_branch(angles, previous)
     return xp.where(solution[:, None] == 0, solutions[:, 0], solutions[:, 1]) + 2.0 * np.pi * turns

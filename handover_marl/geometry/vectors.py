@@ -1,4 +1,4 @@
-"""Products and lengths of vectors, for NumPy arrays bit-equal to NumPy's and often faster; distances to boxes."""
+"""Vector products and lengths, equal to NumPy's to the bit and often faster, and distances of points to boxes."""
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +20,7 @@ def compute_lengths(vectors: AnyArray) -> AnyArray:
 
 
 def limit_lengths(vectors: AnyArray, length: float) -> AnyArray:
-    """Shorten those of the vectors (..., k) that are longer than `length` to this length."""
+    """Return vectors (..., k), of which those longer than `length` are shortened to it."""
     return vectors * (length / compute_lengths(vectors).clip(length))[..., None]
 
 
@@ -33,7 +33,7 @@ def compute_cross_products(left: npt.ArrayLike, right: npt.ArrayLike) -> npt.NDA
 
 
 def compute_box_distances(points: AnyArray, half_size: AnyArray) -> AnyArray:
-    """Compute the signed distances (...) of points (..., 3) to boxes around the origin with half sizes (..., 3)."""
+    """Compute signed distances (...) of points (..., 3) to boxes with half sizes (..., 3) around the origin."""
     xp = get_namespace(points)
     # One coordinate at a time, because NumPy reduces short axes slowly.
     x, y, z = (xp.abs(points[..., axis]) - half_size[..., axis] for axis in range(3))

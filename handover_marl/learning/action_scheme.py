@@ -1,8 +1,8 @@
 """Base classes of action schemes, which convert network outputs in [-1, 1] to an agent's actions.
 
-Networks learn best with few outputs of equal scale for which zero is a sensible action. The learning environments and
-the learned policies decode outputs with the same schemes. Built-in schemes decode the outputs of many episodes at once;
-actions do not depend on the other episodes.
+Networks learn best with few outputs of equal scale for which zero is a sensible action. Training environments and
+learned policies decode outputs with the same schemes. Built-in schemes, subclasses of `ArrayScheme`, decode the outputs
+of many episodes at once; actions do not depend on the other episodes. Users write subclasses of `ActionScheme`.
 """
 
 from abc import ABC, abstractmethod
@@ -20,7 +20,7 @@ Outputs = npt.NDArray[np.floating]
 
 
 class ActionScheme(ABC):
-    """Decoder of network outputs into the actions of one agent.
+    """Base class of user-defined action schemes: decoder of network outputs into one agent's actions in one episode.
 
     Attributes:
         name: Name of the scheme in policy files.
@@ -61,7 +61,7 @@ class ActionScheme(ABC):
 
 
 class ArrayScheme(ABC):
-    """Decoder of network outputs into one agent's actions, in each of n episodes.
+    """Base class of built-in action schemes: decoder of network outputs into one agent's actions in n episodes.
 
     Methods act on r of the n episodes: `rows` are their indices, and all other arrays have one row for each of them.
 
@@ -92,14 +92,10 @@ class ArrayScheme(ABC):
         self.allocate(context, count)
 
     def allocate(self, context: PolicyContext, count: int) -> None:  # noqa: B027
-        """Create the constants and the arrays (n, ...) that a subclass needs for n = `count` episodes; called once."""
+        """Create the subclass's constants and arrays (n, ...) for n = `count` episodes; called once."""
 
     def reset(self, row: int) -> None:
-        """Clear the state of a finished episode, so that the next one can use its row.
-
-        Args:
-            row: Index of the episode among the n episodes.
-        """
+        """Clear the state of the finished episode with index `row`, so that the next one can use this row."""
         self._outputs[row] = 0.0
 
     def needs_outputs(self, rows: AnyArray, observation: Observation) -> AnyArray:
@@ -116,27 +112,26 @@ class ArrayScheme(ABC):
 
     @abstractmethod
     def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Decode the current outputs of r episodes: return actions, float32, (r, 8) of givers or (r, 9) of receivers.
+        """Decode the current outputs of the r episodes with indices `rows`: return actions, float32.
 
-        Args:
-            rows: Indices (r,) of the episodes.
-            observation: Arrays (r, ...) of the agent's observations in these episodes.
+        They are (r, 8) for givers, (r, 9) for receivers. `observation` has arrays (r, ...) of the agent's observations.
         """
 
 
 class InvertibleScheme(ArrayScheme):
-    """Base class of schemes that also convert actions to outputs, with which other policies can be imitated."""
+    """Base class of schemes that also convert actions to outputs, so that networks can imitate any policy."""
 
     @abstractmethod
     def outputs_from_actions(self, actions: AnyArray, observation: Observation) -> AnyArray:
-        """Return the outputs (r, size) in [-1, 1] whose decoded actions are nearest to given actions (r, 8 or 9).
+        """Return outputs (r, size) in [-1, 1] whose decoded actions equal given actions (r, 8 or 9), approximately.
 
-        `observation` has arrays (r, ...) of the agent's observations.
+        Actions beyond the reach of the outputs are reduced. `observation` has arrays (r, ...) of the agent's
+        observations.
         """
 
 
 class RawScheme(ArrayScheme):
-    """Identity scheme: the outputs are the actions in physical units and are not clipped."""
+    """Base class of identity schemes: the outputs are the actions in physical units and are not clipped."""
 
     def set_outputs(self, rows: AnyArray, outputs: AnyArray) -> None:
         """Use outputs (r, size), without clipping, in the episodes with indices `rows` until their next call."""
@@ -150,11 +145,7 @@ class RawScheme(ArrayScheme):
 
 
 class SingleScheme:
-    """Action scheme of a single episode, made by `make_scheme`: arrays have no axis of episodes.
-
-    Attributes:
-        scheme: Scheme of n = 1 episode.
-    """
+    """Action scheme of a single episode, made by `make_scheme`: wraps `scheme`, an `ArrayScheme` of n = 1 episode."""
 
     def __init__(self, scheme: ArrayScheme) -> None:
         self.scheme = scheme

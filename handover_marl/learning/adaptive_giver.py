@@ -1,7 +1,8 @@
-"""Giver that chooses where and how to offer the object, by a network that predicts the success of offers.
+"""Giver that chooses where and how to hold out the object, by a network that predicts the success of such offers.
 
-An offer is a vector of outputs of `HandoverPoseScheme`. Its features depend on what a person can see (the object, the
-own hand, the robot) and on the known grasps of the object, but not on the receiver's policy.
+An offer is a vector of seven numbers, the outputs that `HandoverPoseScheme` decodes: handover pose and withdrawal. The
+network's inputs depend on what a person can see (the object, the own hand, the robot) and on the known grasps of the
+object, but not on the receiver's policy.
 """
 
 import functools
@@ -44,12 +45,9 @@ _NUMBERS_OF_GRASPS, _N_BEST = (1, 4, 16, 64), 4
 
 
 def draw_offers(rng: np.random.Generator, count: int, spread: float) -> Vectors:
-    """Draw `count` random offers (count, 7) in [-1, 1], float32; the first one has the recorded handover pose.
+    """Draw `count` offers (count, 7), float32, from a normal distribution, and clip them to [-1, 1].
 
-    Args:
-        rng: Random generator.
-        count: Number of offers.
-        spread: Standard deviation of the outputs before they are clipped.
+    The first one has the recorded handover pose, with a random withdrawal. The standard deviation is `spread`.
     """
     offers = np.clip(spread * rng.standard_normal((count, HandoverPoseScheme.size)), -1.0, 1.0)
     offers[0, :6] = 0.0
@@ -57,7 +55,7 @@ def draw_offers(rng: np.random.Generator, count: int, spread: float) -> Vectors:
 
 
 def compute_offered_poses(observation: Observation, offers: Vectors) -> Array:
-    """Return world poses (k, 7; xyzw) of the object at k offers (k, 7) in the episode of an observation (1, ...)."""
+    """Return world poses (k, 7; xyzw) of the object at k offers (k, 7), given the giver's observation (1, ...)."""
     origins, frames = compute_handover_frames(observation)
     shifts = rotate_to_world(frames, widen(offers[:, :3]) * HandoverPoseScheme.max_output_translation)
     turns = rotate_to_world(frames, widen(offers[:, 3:6]) * HandoverPoseScheme.max_output_rotation)
@@ -69,11 +67,8 @@ def compute_offered_poses(observation: Observation, offers: Vectors) -> Array:
 def compute_added_reaches(observation: Observation, offers: Vectors) -> Array:
     """Return how much farther the person reaches at k offers (k, 7) than in the recording, (k,) in m, at least 0.
 
-    The reach is the distance of the wrist from the nearer shoulder of a person who faces the robot.
-
-    Args:
-        observation: Arrays (1, ...) of the giver's observation.
-        offers: Offers (k, 7), outputs of `HandoverPoseScheme`.
+    The reach is the distance of the wrist from the nearer shoulder of a person who faces the robot, at the handover
+    pose. `observation` has the arrays (1, ...) of the giver's observation.
     """
     recorded = widen(observation["replay_wrist_poses"][:, -1])
     wrist_in_object = compose(invert_pose(widen(observation["replay_object_poses"][:, -1])), recorded)
@@ -85,21 +80,22 @@ def compute_added_reaches(observation: Observation, offers: Vectors) -> Array:
 
 
 class OfferFeatures:
-    """Features of the offers of a giver, from which a network predicts their success.
+    """Features (48) of each of a giver's offers, from which a network predicts the offer's success.
 
     | features | meaning |
     |---|---|
-    | 0-18 | the known grasps of the object, see below |
-    | 19-37 | the validated grasps of the receiver `reactive`, which include tilted copies of the known ones |
-    | 38-40 | position of the recorded handover in the world (m) |
+    | 0-18 | the known grasps of the object, see the second table |
+    | 19-37 | likewise the validated grasps of the receiver `reactive`, which include tilted copies of the known ones |
+    | 38-40 | position of the object at the recorded handover, in the world (m) |
     | 41-47 | the offer |
 
-    The nearest grasps are those to which the gripper's motion has the lowest cost; the best ones have the lowest cost
-    of motion, hold and clearance, see `GraspCosts`. Features of a set of grasps:
+    The second table has the 19 features of a set of grasps. The nearest grasps are those with the lowest cost of the
+    gripper's motion to them; the best ones have the lowest sum of the costs of motion, hold and clearance, see
+    `GraspCosts`.
 
     | features | meaning |
     |---|---|
-    | 0-3 | clearance of the person's hand, mean over the 1, 4, 16 and 64 nearest grasps (m, times 10) |
+    | 0-3 | clearance between person's hand and gripper, mean over the 1, 4, 16, 64 nearest grasps (m, times 10) |
     | 4-7 | share of these grasps whose clearance is at least `GraspCosts.min_clearance` |
     | 8 | cost of the motion to the nearest grasp (m) |
     | 9-12 | best grasp: cost (m), clearance (m, times 10), cost of the motion (m), cost of the hold (s) |
@@ -113,11 +109,9 @@ class OfferFeatures:
         self._context, self._costs = context, GraspCosts(context)
 
     def __call__(self, observation: Observation, offers: Vectors) -> Vectors | None:
-        """Return the features (k, 48) of k offers in one episode; None if no grasp of the object is known.
+        """Return the features (k, 48) of k offers (k, 7) in one episode; None if no grasp of the object is known.
 
-        Args:
-            observation: Arrays (1, ...) of the giver's observation.
-            offers: Offers (k, 7), outputs of `HandoverPoseScheme`.
+        `observation` has the arrays (1, ...) of the giver's observation.
         """
         object_class = int(observation["object_classes"][0, 0])
         sets = [load(self._context, object_class) for load in (_load_known_grasps, load_validated_grasps)]
@@ -141,7 +135,8 @@ class OfferFeatures:
     ) -> tuple[Array, Array]:
         """Return features 0-12 of a set of grasps at k offers (k, 13), and the nearest and four best grasps (k, 5, 7).
 
-        `objects` (k, 7) are world poses of the offered object; `grasps` (g, 7) in its frame have hold costs (g,) in s.
+        `objects` (k, 7) are world poses of the object at the offers. The set, `grasps` (g, 7), has hold costs (g,) in
+        s; all grasps are in the object's frame.
         """
         joints = inverse_transform_points(observation["object_poses"][:, :1], observation["hand_keypoints"])
         clearances = self._costs.compute_clearances(grasps[None], joints)[0]
@@ -163,8 +158,7 @@ class OfferFeatures:
 def compute_offer_scores(outputs: AnyArray) -> AnyArray:
     """Return scores (k,) of offers, higher is better: probability of success times the unused share of the time limit.
 
-    Args:
-        outputs: Outputs (k, 2) of a network: logit of the success, and the time of the success as a share of the limit.
+    The network's `outputs` (k, 2) are the logit of success, and the time of success as a share of the limit.
     """
     xp = get_namespace(outputs)
     return (1.0 - outputs[:, 1].clip(0.0, 1.0)) / (1.0 + xp.exp(-outputs[:, 0]))
@@ -172,7 +166,10 @@ def compute_offer_scores(outputs: AnyArray) -> AnyArray:
 
 @functools.lru_cache(maxsize=1024)
 def _load_known_grasps(context: PolicyContext, object_class: int) -> tuple[Array, Array] | None:
-    """Return grasps like `load_validated_grasps`: the known ones, without tilted copies, with hold costs of zero."""
+    """Return the known grasps (g, 7) of an object class, with hold costs (g,) of zero; None if there are none.
+
+    As in `load_validated_grasps`, the second half of the grasps is the first one turned by 180 degrees.
+    """
     poses = load_hand_poses(context.load_grasps, context.object_names[object_class])
     if poses is None:
         return None
@@ -190,7 +187,7 @@ class AdaptiveConfig(CheckedConfig):
     Attributes:
         patience: Time without an approach after which the giver varies its handover pose (s).
         offers: Number of random offers of which the best is chosen; the first has the recorded handover pose.
-        spread: Standard deviation of the random offers, relative to the bounds of `HandoverPoseScheme`.
+        spread: Standard deviation of the random offers, in outputs of `HandoverPoseScheme` (-1 to 1).
         reach_cost: Reduction of an offer's score (0 to 1) for each meter that the person reaches farther than in the
             recording (1/m).
     """
@@ -204,15 +201,15 @@ class AdaptiveConfig(CheckedConfig):
 class AdaptiveGiver(ArrayGiver):
     """Giver that chooses the best of many random offers when the recorded hand is about to stop.
 
-    An offer is a handover pose and a withdrawal; the rest of the motion is that of `HandoverPoseScheme`. A network
-    predicts success and time of an offer from what the person sees, see `OfferFeatures`. The network that ships was
-    trained with the receivers `yang2021` and `dagger`, but does not observe who the receiver is. Objects without known
-    grasps are handed over at the recorded pose.
+    An offer is a handover pose and a withdrawal; `HandoverPoseScheme` computes the motion. A network predicts from
+    `OfferFeatures` whether an offer succeeds, and when. The network that ships was trained with the receivers
+    `yang2021` and `dagger`, but does not observe which receiver acts. Objects without known grasps are handed over at
+    the recorded pose.
 
     Args:
         context: Robot, task and known grasps of the objects.
         weights: Policy file of `experiments/training/train_giver_offers.py`; default: the one that ships.
-        options: Numbers in `AdaptiveConfig`.
+        options: Fields of `AdaptiveConfig` that differ from their defaults.
     """
 
     name = "adaptive"
@@ -233,11 +230,11 @@ class AdaptiveGiver(ArrayGiver):
 
     @property
     def weights_hash(self) -> str:
-        """Name and hash of the policy file."""
+        """Name without suffix, and hash, of the policy file, `NAME@HASH`."""
         return self._weights
 
     def allocate(self, count: int, arrays: ArrayFactory) -> None:
-        """Create the state of `count` episodes, in arrays that `arrays` creates."""
+        """Create the state of `count` episodes in arrays of the factory `arrays`."""
         super().allocate(count, arrays)
         selector = LowestCostGraspSelector(self.context, count, arrays)
         self._scheme = HandoverPoseScheme(self.context, selector, count, arrays)
@@ -249,7 +246,7 @@ class AdaptiveGiver(ArrayGiver):
         self._scheme.reset(row)
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return the actions (r, 8) in the episodes `rows`: replay until an offer is chosen, then move to it."""
+        """Return the actions (r, 8) in the episodes `rows`: replay until an offer is chosen, then the chosen offer."""
         needed = to_numpy(self._scheme.needs_outputs(rows, observation)).nonzero()[0]
         for place in needed.tolist():
             own = {key: to_numpy(values[place : place + 1]) for key, values in observation.items()}
@@ -258,7 +255,10 @@ class AdaptiveGiver(ArrayGiver):
         return self._scheme.compute_actions(rows, observation)
 
     def _choose(self, rng: np.random.Generator, observation: Observation) -> Vectors:
-        """Return the best (7,) of many random offers for an observation (1, ...), or the first if no grasp is known."""
+        """Return the best (7,) of many random offers for an observation (1, ...), or the first if no grasp is known.
+
+        The best has the highest score after subtraction of the cost of the person's added reach.
+        """
         offers = draw_offers(rng, self.config.offers, self.config.spread)
         features, number = self._features(observation, offers), 0
         if features is not None:

@@ -1,8 +1,8 @@
 """Feature vectors for small networks, computed from observations of many episodes at once.
 
-Except in `FlatFeatures`, positions are in decimeters, or scaled as a class states, and in the frame of the planned
-handover or of the gripper, so that the components are of order one and hardly depend on the world frame. Features do
-not depend on the other episodes.
+Except in `FlatFeatures`, positions are in decimeters, or scaled as a class states, so that features are of order one.
+Most are in the handover frame (see `compute_handover_frames`) or the gripper frame, that of the Panda's hand link, so
+that they hardly depend on the world frame. Features of an episode do not depend on the other episodes.
 """
 
 from abc import ABC, abstractmethod
@@ -34,7 +34,9 @@ N_STACKED = 4
 
 
 class ArrayFeatures(ABC):
-    """Function from observations in r of n episodes to feature vectors, float32.
+    """Base class of features: functions from observations to vectors of numbers, the inputs of a network.
+
+    An object serves n episodes; a call computes the vectors of r of them.
 
     Args:
         context: Robot, task and known grasps of the objects.
@@ -64,31 +66,22 @@ class ArrayFeatures(ABC):
         self.allocate(count)
 
     def allocate(self, count: int) -> None:  # noqa: B027
-        """Create the arrays (n, ...) in which a subclass stores values of n = `count` episodes; called once."""
+        """Create a subclass's arrays (n, ...) for values of n = `count` episodes; called once, by the constructor."""
 
     def reset(self, row: int) -> None:  # noqa: B027
-        """Clear the stored values of a finished episode, so that the next one can use its row.
-
-        Args:
-            row: Index of the episode among the n episodes.
-        """
+        """Clear the stored values of the finished episode with index `row`, so that the next one can use this row."""
 
     @abstractmethod
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the feature vectors (r, size), float32, of r of the n episodes.
-
-        Args:
-            rows: Indices (r,) of the episodes.
-            observation: Arrays (r, ...) of their observations.
-        """
+        """Return feature vectors (r, size), float32, of the r episodes `rows`; `observation` has arrays (r, ...)."""
 
 
 def compute_handover_frames(observation: Observation) -> tuple[AnyArray, AnyArray]:
-    """Return the frames of r planned handovers, at the objects' positions 0.5 s later in the givers' recordings.
+    """Return r handover frames: x points horizontally towards the gripper, z up.
 
     Returns:
-        Origins (r, 3) in the world (m), and axes as columns (r, 3, 3) in the world: x points horizontally towards the
-        gripper, z up.
+        Origins (r, 3) in the world (m): the objects' positions 0.5 s ahead in the recordings. Axes in the world, the
+        columns of matrices (r, 3, 3).
     """
     origins = widen(observation["replay_object_poses"][:, -1, :3])
     xp, to_gripper = get_namespace(origins), observation["gripper_pose"][:, :2] - origins[:, :2]
@@ -115,10 +108,10 @@ def rotate_to_world(axes: AnyArray, vectors: AnyArray) -> AnyArray:
 class GiverFeatures(ArrayFeatures):
     """Features (39) from which a giver can choose a handover pose.
 
-    In the frame of `compute_handover_frames`: horizontal distance and height of the gripper (both minus 5 dm); origin
-    of the frame relative to the goal (in the world frame); wrist position, mean finger position and object orientation
-    (first two columns of its rotation matrix) 0.5 s later in the recording; whether the object was released; and the
-    YCB class of the object (one-hot; zeros for another class).
+    In the frame of `compute_handover_frames`, in dm: horizontal distance and height of the gripper (both minus 5);
+    position of the frame's origin minus the goal (along the world's axes); wrist position, mean position of the finger
+    joints and object orientation (first two columns of its rotation matrix) 0.5 s ahead in the recording. Then follow
+    whether the object was released, and the YCB class of the object (one-hot; zeros for another class).
     """
 
     name, agent, size = "giver", "giver", 18 + LARGEST_YCB_CLASS
@@ -149,10 +142,11 @@ class GiverFeatures(ArrayFeatures):
 class ReceiverFeatures(ArrayFeatures):
     """Features (56) from which a receiver can take an object to the goal.
 
-    In the gripper frame: positions (m, times 5) of the object, the person's wrist, the mean of the person's fingers
-    (both 0 without a hand) and the goal, the object's orientation, and the world's vertical. Then follow finger joints
-    (m, times 50, minus 1) and their velocities (m/s, times 10), arm joints (rad), whether the object was released, the
-    elapsed share of the time limit, whether a hand is present, and the YCB class (one-hot; 0 for others).
+    In the gripper frame: positions (m, times 5) of the object, the person's wrist, the mean of the person's finger
+    joints (zeros without a hand) and the goal; the object's orientation (first two columns of its rotation matrix, row
+    by row); and the world's vertical. Then follow the robot's finger joints (m, times 50, minus 1) and their velocities
+    (m/s, times 10), arm joints (rad), whether the object was released, the elapsed share of the time limit, whether a
+    hand is present, and the object's YCB class (one-hot; zeros for others).
     """
 
     name, agent, size = "receiver", "receiver", 35 + LARGEST_YCB_CLASS
@@ -183,26 +177,22 @@ class ReceiverFeatures(ArrayFeatures):
 
 
 class GraspFeatures(ReceiverFeatures):
-    """Features (64): those of `ReceiverFeatures` (56), and of the grasp of lowest cost (8).
+    """Features (64): the 56 of `ReceiverFeatures`, then 8 of the grasp that `LowestCostGraspSelector` chooses.
 
     The latter are, in the gripper frame: translation to the grasp (3, m times `GRASP_SCALE`), rotation vector to it (3,
-    rad), clearance of the gripper to the person's hand on its way to the grasp (1, dm), and whether grasps of the
-    object are known (1).
+    rad), clearance between gripper and person's hand at the grasp and on the straight approach to it (1, dm), and
+    whether grasps of the object are known (1).
     """
 
     name, size = "grasp", ReceiverFeatures.size + 8
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the features (r, 64) of the episodes with indices `rows`, those of the grasp last."""
+        """Return the features (r, 64) of the episodes with indices `rows`; the 8 of the grasp are last."""
         vectors = [super().__call__(rows, observation), self.compute_grasps(rows, observation)]
         return get_namespace(vectors[0]).concat(vectors, axis=1)
 
     def compute_grasps(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return grasp features (r, 8) in the episodes with indices `rows`; zeros where no grasp is known.
-
-        The features are, in the gripper frame: translation to the grasp of lowest cost (3, m times `GRASP_SCALE`),
-        rotation vector to it (3, rad), clearance to the person's hand there (1, dm), and whether grasps are known (1).
-        """
+        """Return the 8 grasp features (r, 8) of the episodes with indices `rows`; zeros where no grasp is known."""
         grasps, clearances, exists = self._selector.select(rows, observation)
         xp, gripper = get_namespace(grasps), widen(observation["gripper_pose"])
         grasps = xp.where(exists[:, None], grasps, self._arrays.asarray(IDENTITY.copy()))
@@ -216,23 +206,23 @@ class GraspFeatures(ReceiverFeatures):
 
 
 class GraspVelocityFeatures(GraspFeatures):
-    """Features (70): those of `GraspFeatures` (64), and velocities since the last decision (6).
+    """Features (70): the 64 of `GraspFeatures`, then 6 velocities, averaged since the last decision.
 
-    The velocities are those of the object to hand over and of the person's wrist, in the gripper frame (m/s, times 5,
-    clipped to [-5, 5]); zeros in the first decision of an episode. The gripper's own velocity is left out, because a
-    network that imitates would continue it instead of approaching the object.
+    These are the velocities of the object to hand over and of the person's wrist, along the gripper frame's axes (m/s,
+    times 5, clipped to [-5, 5]); zeros at the first decision of an episode. The gripper's own velocity is left out: a
+    network that imitates another policy would continue the gripper's motion instead of approaching the object.
     """
 
     name, size = "grasp_velocity", GraspFeatures.size + 6
 
     def allocate(self, count: int) -> None:
-        """Create the last positions, times and velocities in n = `count` episodes."""
+        """Create arrays for the positions, times and velocities of the last decisions in n = `count` episodes."""
         arrays = self._arrays
         self._positions, self._velocities = arrays.zeros((count, 2, 3)), arrays.zeros((count, 2, 3))
         self._times = arrays.full(count, -1.0)
 
     def reset(self, row: int) -> None:
-        """Set the velocities at index `row` to zero, since a new episode starts there."""
+        """Set the velocities of the episode with index `row` to zero, because a new episode starts."""
         self._velocities[row], self._times[row] = 0.0, -1.0
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
@@ -256,10 +246,11 @@ class GraspVelocityFeatures(GraspFeatures):
 class GraspProximityFeatures(GraspFeatures):
     """Features (12) that suffice to decide when to close the gripper.
 
-    In the gripper frame: translation (3, m times `GRASP_SCALE`) and rotation vector (3, rad) to the grasp of lowest
-    cost. Then follow the proximities of position and orientation, which decay exponentially with distance (2), the
-    finger joints (2, m times 50, minus 1), whether the object was released (1), and whether grasps of the object are
-    known (1). With so few features a policy learns to close the gripper from few episodes.
+    In the gripper frame: translation (3, m times `GRASP_SCALE`) and rotation vector (3, rad) to the grasp that
+    `LowestCostGraspSelector` chooses. Then follow the proximities of position and orientation, exp(-distance / scale)
+    (2, 1 at the grasp), the robot's finger joints (2, m times 50, minus 1), whether the object was released (1), and
+    whether grasps of the object are known (1; without, all features of the grasp are 0). With so few features a policy
+    learns from few episodes to close the gripper.
 
     Attributes:
         position_scale: Distance from the grasp at which the proximity of the position is 1/e (m).
@@ -283,22 +274,22 @@ class GraspProximityFeatures(GraspFeatures):
 
 
 class StackedFeatures(GraspProximityFeatures):
-    """Features of `GraspProximityFeatures` at the last N_STACKED decisions of each episode, the present one first.
+    """Features (48): the 12 of `GraspProximityFeatures` at the last `N_STACKED` decisions, the present one first.
 
-    Zeros stand for decisions before the first. From a stack, a policy without memory can estimate velocities and how
-    its partner reacts.
+    Zeros take the place of decisions before the first. From these features, a policy without memory can estimate
+    velocities and how the giver reacts.
     """
 
     name, size = "close_stack", N_STACKED * GraspProximityFeatures.size
 
     def allocate(self, count: int) -> None:
-        """Create the stacks of n = `count` episodes, filled with zeros."""
+        """Create the stacked features of n = `count` episodes, all zero."""
         arrays = self._arrays
         self._stacks = arrays.zeros((count, N_STACKED, GraspProximityFeatures.size), "float32")
         self._times = arrays.full(count, -1.0)
 
     def reset(self, row: int) -> None:
-        """Fill the stack at index `row` with zeros, since a new episode starts there."""
+        """Set the stacked features of the episode with index `row` to zero, because a new episode starts."""
         self._stacks[row], self._times[row] = 0.0, -1.0
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
@@ -341,7 +332,10 @@ class FlatReceiverFeatures(FlatFeatures):
 
 
 def _relative_columns(axes: AnyArray, rotations: AnyArray) -> AnyArray:
-    """Return the first two columns (r, 6), row by row, of rotations (r, 3, 3) in frames with `axes` (r, 3, 3)."""
+    """Return the first two columns (r, 6), row by row, of world rotations (r, 3, 3) in r frames.
+
+    The columns of `axes` (r, 3, 3) are the axes of the frames in the world.
+    """
     return rotate_to_frame(axes, rotations.swapaxes(1, 2))[:, :2].swapaxes(1, 2).reshape(len(axes), 6)
 
 

@@ -1,4 +1,4 @@
-"""User-defined features and action schemes: classes, functions with a declared size, or text `module:name`."""
+"""User-defined features and action schemes: classes, or functions with a declared size."""
 
 import copy
 import inspect
@@ -65,7 +65,7 @@ class FeatureExtractor(ABC):
         self.context = context
 
     def reset(self) -> None:  # noqa: B027
-        """Clear values that are stored from the previous episode; features without memory need not override it."""
+        """Clear values that are stored from the previous episode; features that store none need not define it."""
 
     @abstractmethod
     def __call__(self, observation: Observation) -> Vector:
@@ -85,14 +85,14 @@ SchemeLike: TypeAlias = str | type[ActionScheme] | SchemeFunction
 
 
 class CustomFeatures(ArrayFeatures):
-    """User-defined features of n episodes: one function for each, called one after another; results are checked.
+    """User-defined features of n episodes: one callable for each, called one after another; results are checked.
 
     Args:
         agent: "giver" or "receiver".
-        choice: Class, instance, or function that declares its size.
+        choice: Subclass of `FeatureExtractor`, or instance or function with a declared size (`declare_size`).
         context: Robot, task and known grasps of the objects.
         count: Number n of episodes.
-        arrays: Factory of the feature vectors; the functions themselves get and return NumPy arrays.
+        arrays: Factory of the feature vectors; the user's code gets and returns NumPy arrays.
         name: Name of the features; default: the name of the class or function.
     """
 
@@ -109,7 +109,7 @@ class CustomFeatures(ArrayFeatures):
         self.size = _check_size(self._label, getattr(self._functions[0], "size", None), "features")
 
     def reset(self, row: int) -> None:
-        """Call `reset` of the features of the episode at index `row`, if they have this method."""
+        """Call the method `reset` of the features of the episode with index `row`, if they have it."""
         _run(self._label, getattr(self._functions[row], "reset", lambda: None))
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
@@ -122,7 +122,7 @@ class CustomFeatures(ArrayFeatures):
 
 
 class _FunctionScheme(ActionScheme):
-    """Action scheme of a function from outputs and observation to an action."""
+    """Action scheme that decodes by a function from outputs and observation to an action."""
 
     def __init__(self, function: Any) -> None:
         self._function, self.size = function, function.size  # type: ignore[misc]
@@ -142,7 +142,7 @@ class CustomScheme(ArrayScheme):
 
     Args:
         agent: "giver" or "receiver".
-        choice: Subclass of `ActionScheme`, or function from outputs and observation to an action.
+        choice: Subclass of `ActionScheme`; or function from outputs and observation to an action, with a declared size.
         context, count, arrays, name: As for `CustomFeatures`.
     """
 
@@ -162,7 +162,7 @@ class CustomScheme(ArrayScheme):
 
     @property
     def wait(self) -> float:
-        """Time at the start of an episode for which the schemes of all episodes wait (s)."""
+        """Time at the start of an episode during which the agent does not act, the same in all n episodes (s)."""
         return self._schemes[0].wait
 
     @wait.setter
@@ -171,7 +171,7 @@ class CustomScheme(ArrayScheme):
             scheme.wait = wait
 
     def reset(self, row: int) -> None:
-        """Clear the state of the scheme of the episode at index `row`."""
+        """Clear the state of the scheme of the episode with index `row`."""
         _run(self._label, self._schemes[row].reset)
 
     def needs_outputs(self, rows: AnyArray, observation: Observation) -> AnyArray:
@@ -196,7 +196,7 @@ class CustomScheme(ArrayScheme):
 
 
 def _check_size(name: str, size: object, unit: str = "") -> int:
-    """Check a declared number of features or outputs, and return it; `name` and `unit` are for errors."""
+    """Return the size; raise OptionError unless it is an integer of at least 1. `name` and `unit` are for errors."""
     if size is None:
         raise OptionError(
             f"{name} must declare the number of {unit}; add the attribute size, or @declare_size(n) above a function"
@@ -213,7 +213,10 @@ def _get_name(choice: object) -> str:
 
 
 def _make_instances(kind: str, agent: str, choice: Any, context: PolicyContext, count: int) -> list[Any]:
-    """Return `count` instances of a class; or a function `count` times, or deep copies of an object with a `reset`."""
+    """Return a list of `count` callables: instances of a class, one function repeated, or copies of an object.
+
+    Objects are copied only if they have a method `reset`. A `kind` such as "features" is for errors.
+    """
     label, declared = f"{kind} {_get_name(choice)!r}", getattr(choice, "agent", None)
     if isinstance(declared, str) and declared != agent:
         raise OptionError(f"{label} must be for the {agent}, got some for the {declared}; change its attribute agent")
@@ -245,7 +248,7 @@ def _check_vector(label: str, values: Any, size: int) -> Vector:
 
 
 def _run(label: str, function: Callable[..., Any], *arguments: Any) -> Any:
-    """Return the result of a user-defined function, or raise an `EncodingError` that names it."""
+    """Return the result of user-defined code; raise its exceptions as EncodingErrors that begin with `label`."""
     try:
         return function(*arguments)
     except HandoverError:

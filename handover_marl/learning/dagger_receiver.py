@@ -11,7 +11,7 @@ _SHIPPED = Path(handover_marl.receivers.__file__).parent / "policies" / "dagger.
 
 
 class DaggerReceiver(FunctionPolicy):
-    """Receiver whose network commands, at every decision, the motion of the gripper and whether it is open or closed.
+    """Receiver whose network commands at every decision a motion of the gripper, and whether it opens or closes.
 
     The network was trained by DAgger (Ross, Gordon and Bagnell, AISTATS 2011) to imitate a policy whose approach to
     the grasp is scripted, see `experiments/training/train_receiver_dagger.py`.

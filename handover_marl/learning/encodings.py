@@ -77,7 +77,7 @@ def list_schemes(agent: str) -> tuple[str, ...]:
 
 
 def count_features(agent: str, name: str) -> int:
-    """Return the size of an agent's built-in feature vector `name`, one of `list_features(agent)`."""
+    """Return the number of an agent's built-in features `name`, one of `list_features(agent)`."""
     check_name(f"{FEATURES} of the {agent}", name, list_features(agent))
     return _FEATURES[name].size
 
@@ -89,7 +89,10 @@ def count_outputs(agent: str, name: str) -> int:
 
 
 def check_encodings(agent: str, features: FeaturesLike, scheme: SchemeLike) -> None:
-    """Raise UnknownNameError if names of built-in features, or of a scheme, do not exist for the agent."""
+    """Raise UnknownNameError for a name that no built-in features, or no built-in scheme, of the agent have.
+
+    Classes, functions, texts `module:name` and the features "observation" are not checked.
+    """
     if isinstance(features, str) and not is_reference(features) and features != OBSERVATION:
         count_features(agent, features)
     if isinstance(scheme, str) and not is_reference(scheme):
@@ -104,16 +107,14 @@ def make_array_features(
     count: int,
     arrays: ArrayFactory = NUMPY_ARRAYS,
 ) -> ArrayFeatures:
-    """Make an agent's features for n = `count` episodes.
-
-    Built-in features work on arrays that `arrays` creates, others episode by episode.
+    """Make an agent's features for n = `count` episodes; user-defined features are computed episode by episode.
 
     Args:
         agent: "giver" or "receiver".
         choice: Name of built-in features; subclass of `FeatureExtractor`; function with a declared size
             (`declare_size`); or text `module:name` of a class or function.
-        context: Task and known grasps of the objects, which some features contain.
-        selector: Selector of the grasps that some features contain.
+        context: Robot, task and known grasps of the objects.
+        selector: Selector of the grasps that some built-in features contain.
         count: Number n of episodes.
         arrays: Factory of the arrays.
     """

@@ -1,6 +1,6 @@
 """Selection of a grasp in each of many episodes: near, clear of the person's hand, within reach, and firm.
 
-Poses are poses of the Panda's hand link: position (m) and quaternion xyzw.
+A grasp is a pose (7,) of the Panda's hand link: position (m) and quaternion xyzw. Costs are in meters, lower is better.
 """
 
 import functools
@@ -50,7 +50,7 @@ _N_CLEARANCES, _N_REACHES = 96, 12
 
 
 class GraspCosts:
-    """Costs of the grasps of objects in r episodes, and the distances on which they depend.
+    """Cost function of grasps of objects in r episodes, and the distances on which the costs depend.
 
     Args:
         context: Context of a policy, with the robot.
@@ -58,12 +58,12 @@ class GraspCosts:
 
     Attributes:
         rotation_weight: Weight of the gripper's rotation in the cost of its motion (m/rad).
-        hold_weight: Weight (m/s) of the cost (s) of a grasp that may not hold.
+        hold_weight: Weight (m/s) of the hold cost (s), which is high for grasps from which the object may slip.
         desired_clearance: Desired distance of the person's fingers from the gripper on its approach (m).
         clearance_weight: Weight of the amount by which the clearance is below the desired one.
         min_clearance, contact_cost: Clearance below which a grasp costs more (m), and this additional cost (m).
-        reach_weight: Weight of the distance of the nearest pose that the arm can reach.
-        reach_tolerance, unreachable_cost: Distance above which a grasp costs more (m), and this additional cost (m).
+        reach_weight: Weight of the distance between the grasp and the nearest pose that the arm can reach.
+        reach_tolerance, unreachable_cost: Such a distance above which a grasp costs more (m), and this cost (m).
     """
 
     rotation_weight, hold_weight = 0.25, 0.1
@@ -99,8 +99,9 @@ class GraspCosts:
         return costs + self.unreachable_cost * widen(distances > self.reach_tolerance)
 
     def compute_clearances(self, poses: AnyArray, joints: AnyArray) -> AnyArray:
-        """Return distances (r, k) in m of human hands from the gripper on its way to k grasps, up to MAX_CLEARANCE.
+        """Return clearances (r, k) in m: distances of human hands from the gripper at k grasps and on its way there.
 
+        The way is a straight approach of 8 cm. Clearances are negative in penetration, and at most `MAX_CLEARANCE`.
         Grasps `poses` (r, k, 7) and positions `joints` (r, 16, 3) of the hands' joints are in the objects' frames.
         """
         xp = self._xp
@@ -111,8 +112,8 @@ class GraspCosts:
     def compute_reach_distances(self, poses: AnyArray, joints: AnyArray) -> AnyArray:
         """Return the distances (r, k) in m of world poses (r, k, 7) from the nearest poses that the arms reach.
 
-        Inverse kinematics starts at the arms' joints (r, 9), so that other configurations of the elbow are not found. A
-        rotation that remains counts as a distance.
+        Inverse kinematics starts at the robots' joints (r, 9), so that other configurations of the elbow are not found.
+        A remaining angle to the pose counts as 0.1 m per rad.
         """
         xp, (count, number) = self._xp, poses.shape[:2]
         target = compose(self._base_from_world, poses.reshape(count * number, 7))
@@ -135,10 +136,11 @@ class GraspCosts:
 
 @functools.lru_cache(maxsize=1024)
 def load_validated_grasps(context: PolicyContext, object_class: int) -> tuple[Array, Array] | None:
-    """Return validated grasps of an object class, then the same turned by 180 degrees, and costs; None if unknown.
+    """Return the validated grasps of an object class and their hold costs; None if it has no grasps.
 
-    Grasps are poses (n, 7) in the object's frame; costs (n,) in s are higher for grasps that may slip. The validation
-    in simulation takes minutes the first time for an object of the user.
+    Grasps are poses (n, 7) in the object's frame; the second half is the first one turned by 180 degrees about the
+    approach axis. Hold costs (n,) in s are higher for grasps from which the object may slip. The validation in
+    simulation takes minutes the first time for an object of the user.
     """
     config = ReactiveConfig()
     graspable = load_graspable_object(context, context.object_names[object_class], config)
@@ -154,10 +156,10 @@ class LowestCostGraspSelector:
 
     Candidates are the validated grasps of the receiver `reactive`, which include tilted copies, and each of them turned
     by 180 degrees about its approach axis. The cost of a grasp (m) is the sum of: the distance of the gripper from it;
-    the weighted angle between their orientations; the weighted cost of a grasp that may not hold; the weighted missing
-    clearance to the person's hand, plus a fixed cost if the gripper would touch the hand; and the weighted distance of
-    the nearest pose that the arm can reach, plus a fixed cost above a tolerance. The weights are those of `GraspCosts`.
-    Selections are kept until the observation changes, since features and action schemes query the same ones.
+    the weighted angle between their orientations; the weighted hold cost, high if the object may slip; the weighted
+    missing clearance to the person's hand, plus a fixed cost if the gripper would touch the hand; and the weighted
+    distance of the nearest pose that the arm can reach, plus a fixed cost above a tolerance. `GraspCosts` has the
+    weights. A selection is cached until the observation changes, because features and action schemes both request it.
 
     Args:
         context: Context of a policy, with the objects and their grasps.
@@ -175,14 +177,10 @@ class LowestCostGraspSelector:
         self._costs = GraspCosts(context, arrays)
 
     def select(self, rows: AnyArray, observation: Observation) -> tuple[AnyArray, AnyArray, AnyArray]:
-        """Select a grasp of the object to hand over in each of r episodes.
-
-        Args:
-            rows: Indices (r,) of the episodes.
-            observation: Arrays (r, ...) of their observations.
+        """Select a grasp of the object to hand over in each of the r episodes `rows`, from observations (r, ...).
 
         Returns:
-            World poses (r, 7) of the hand link at the grasps; distances (r,) in m of the person's hand from the
+            World poses (r, 7) of the hand link at the grasps; clearances (r,) in m between the person's hand and the
             gripper there and on its straight approach, at most `MAX_CLEARANCE`; and whether a grasp of the object is
             known, (r,). Without a known grasp the other values have no meaning.
         """
@@ -222,13 +220,13 @@ class LowestCostGraspSelector:
         self._clearances[rows[known]] = clearances
 
     def _find_best(self, index: AnyArray, objects: AnyArray, observation: Observation) -> tuple[AnyArray, AnyArray]:
-        """Return the best grasps (r, 7) in the objects' frames, and the clearances (r,) of the persons' hands there.
+        """Return the best grasps (r, 7) in the objects' frames, and their clearances (r,) in m to the persons' hands.
 
-        Clearances are computed only for the `_N_CLEARANCES` grasps of lowest motion and hold cost, and the reach only
-        for the `_N_REACHES` of these with the lowest cost so far, where it can change the choice.
+        Clearances are computed only for the `_N_CLEARANCES` grasps of lowest motion and hold cost, and reach costs only
+        for those of the best `_N_REACHES` of them that could still be chosen.
 
         Args:
-            index: Index (r,) of each object class in the table of grasps.
+            index: Index (r,) of each object's class in the table of grasps.
             objects: World poses (r, 7) of the objects.
             observation: Arrays (r, ...) of observations, float64.
         """
@@ -260,9 +258,9 @@ class LowestCostGraspSelector:
 
 
 def _take_lowest(count: int, costs: AnyArray, *arrays: AnyArray) -> tuple[AnyArray, ...]:
-    """Return the columns of arrays (r, g, ...) with the `count` lowest costs (r, g) of each row, the costs last.
+    """Select from arrays (r, g, ...) the `count` entries of lowest cost (r, g) in each row; return also their costs.
 
-    The order of the columns remains, so that of equal costs the first one counts.
+    The costs are last. The order of the entries remains, so that `argmin` finds the first of equal costs.
     """
     if costs.shape[1] > count:
         xp = get_namespace(costs)

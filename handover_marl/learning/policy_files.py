@@ -20,7 +20,7 @@ from handover_marl.policies.registry import check_stored_reference
 
 Array = npt.NDArray[np.float32]
 
-#: Features and action scheme by agent for policies from other libraries: flat observations, physical units.
+#: Names of features and action scheme by agent for policies from other libraries: flat observations, physical units.
 RAW_ENCODINGS = {"giver": ("flat_giver", "giver"), "receiver": ("flat_receiver", "receiver")}
 #: Value of `PolicySpec.features` for functions that take observations as they are.
 OBSERVATION = "observation"
@@ -47,7 +47,7 @@ class InputNormalization:
         clip: Largest absolute values (n_inputs,) of normalized inputs; infinite without a limit.
 
     Raises:
-        DataFormatError: A number is out of range.
+        DataFormatError: A number in `scale` or `clip` is not greater than 0.
     """
 
     mean: npt.NDArray[np.float64]
@@ -66,7 +66,7 @@ class InputNormalization:
 
 @dataclass(frozen=True, eq=False)
 class OutputBounds:
-    """Bounds of an action space, to which outputs are mapped as in Stable-Baselines3's `predict`.
+    """Bounds of an action space, and the way in which outputs are mapped to them, as by Stable-Baselines3's `predict`.
 
     Attributes:
         low: Lower bounds (n_outputs,).
@@ -88,15 +88,18 @@ class OutputBounds:
 
 @dataclass(frozen=True, eq=False)
 class DenseNetwork:
-    """Multilayer perceptron in NumPy, or on PyTorch tensors (`copy_to`); raises DataFormatError if parts do not fit.
+    """Multilayer perceptron in NumPy, or on PyTorch tensors (`copy_to`).
 
     Attributes:
-        weights: Weight matrices (n_outputs, n_inputs) of the layers.
-        biases: Bias vectors (n_outputs,) of the layers.
+        weights: Weight matrix (n_outputs, n_inputs) of each layer.
+        biases: Bias vector (n_outputs,) of each layer.
         activation: Activation between layers, a key of `ACTIVATIONS`.
         output: Activation after the last layer, a key of `ACTIVATIONS`.
         normalization: Normalization of the inputs, or None.
         bounds: Bounds to which the outputs are mapped, or None.
+
+    Raises:
+        DataFormatError: Shapes do not fit together, an activation is unknown, or a weight is not finite.
     """
 
     weights: tuple[Array, ...]
@@ -143,7 +146,7 @@ class DenseNetwork:
         return int(self.weights[-1].shape[0])
 
     def copy_to(self, arrays: ArrayFactory) -> "DenseNetwork":
-        """Return a copy whose weights, inputs and outputs are arrays of the factory, e.g. tensors on a GPU."""
+        """Return a copy that has, takes and returns arrays of a factory, e.g. PyTorch tensors on a GPU."""
         copy, scaling, bounds = arrays.asarray, self.normalization, self.bounds
         return replace(
             self,
@@ -180,8 +183,9 @@ class PolicySpec:
 
     Attributes:
         agent: Agent that the policy controls, "giver" or "receiver".
-        features: Features that are the inputs, see `handover_marl.encode`, or `OBSERVATION`; always text in files.
-        actions: Action scheme that decodes outputs, see `handover_marl.encode`; always text in files.
+        features: Features that are the inputs: a name, `module:name`, or `OBSERVATION`; outside of files also a class
+            or function, see `handover_marl.encode`.
+        actions: Action scheme that decodes the outputs, in the same forms except `OBSERVATION`.
         control_period: Time between two decisions (s).
         origin: Description of the training, such as script and arguments, for human readers.
         obs_mode: Observation mode of a receiver, e.g. "state", see `handover_marl.parallel_env`.
@@ -200,7 +204,7 @@ _DEFAULT_PERIOD = 0.1  # s, as that of environments
 
 
 def check_policy_path(path: Path) -> None:
-    """Raise OptionError unless a path ends in .npz, as policy files do, so that a training does not fail at its end."""
+    """Raise OptionError unless a path ends in .npz; call it first, so that a long training does not fail at its end."""
     if path.suffix != ".npz":
         raise OptionError(f"a policy file to write must end in .npz, got {path}; choose another name")
 
@@ -221,17 +225,17 @@ def write_policy(path: Path, spec: PolicySpec, network: DenseNetwork) -> None:
 
 
 def read_policy(path: Path, agent: str, trust: bool = False, **overrides: Any) -> tuple[PolicySpec, DenseNetwork, str]:
-    """Read a policy file, without running code; raise DataNotFoundError or DataFormatError if that fails.
+    """Read a policy file without running or importing code; raise DataNotFoundError or DataFormatError if that fails.
 
     Args:
         path: Policy file; another suffix than .npz raises OptionError.
         agent: Agent that the policy must control, "giver" or "receiver".
-        trust: Whether modules that the file names may be imported; else such a file raises UnsafeFileError.
+        trust: Whether modules that the file names may be imported later; if not, such a file raises UnsafeFileError.
         **overrides: Fields of `PolicySpec` that replace those in the file; None keeps a field, see `complete_spec`.
 
     Returns:
-        Encoding, network from features to outputs, and unique label of the policy in result files: file name and a
-        hash of the content.
+        Encoding, network from features to outputs, and unique label of the policy in result files: `NAME@HASH`, with
+        the file name without suffix and a hash of the content.
     """
     if path.suffix != ".npz":
         raise OptionError(
@@ -251,14 +255,19 @@ def read_policy(path: Path, agent: str, trust: bool = False, **overrides: Any) -
 def complete_spec(
     source: object, agent: str | None, recorded: Mapping[str, Any], overrides: Mapping[str, Any]
 ) -> PolicySpec:
-    """Return the encoding of a policy: each field as the caller gives it, else as the training recorded it.
+    """Return the encoding of a policy: each field as the caller chooses it, else as the training recorded it.
 
     Args:
         source: File or name of the policy, for errors.
         agent: Agent that the policy must control; None for the recorded one.
         recorded: Fields of `PolicySpec` by name that the training recorded.
-        overrides: Fields of `PolicySpec` by name that the caller chooses; None as a value means not chosen. A chosen
-            control period must equal the recorded one, else OptionError is raised; without either, it is 0.1 s.
+        overrides: Fields of `PolicySpec` by name that the caller chooses; None as a value means not chosen. If the
+            control period is neither chosen nor recorded, it is 0.1 s.
+
+    Raises:
+        DataFormatError: The recorded agent is not `agent`.
+        OptionError: Agent, features or action scheme are missing, or the control period is out of range or not the
+            recorded one.
     """
     if agent is not None and recorded.get("agent", agent) != agent:
         raise DataFormatError(f"{source}: policy must be for the {agent}, got one for the {recorded['agent']}")
@@ -279,7 +288,7 @@ def complete_spec(
 
 
 def _decode_policy(content: bytes) -> tuple[dict[str, Any], DenseNetwork]:
-    """Return the fields of `PolicySpec` by name, and the network, of the content of a policy file."""
+    """Decode the content of a policy file: return the fields of `PolicySpec` by name, and the network."""
     arrays = read_arrays(content)
     about = json.loads(str(arrays["about"]))
     if about["format"] != _FORMAT:

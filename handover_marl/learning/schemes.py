@@ -32,45 +32,46 @@ class RawGiverScheme(RawScheme):
 
 
 class DeviationScheme(ArrayScheme):
-    """Scheme whose 8 outputs in [-1, 1] are multiplied by the upper bounds of `giver_action_space`.
+    """Scheme of deviations from the recording: 8 outputs in [-1, 1], times the upper bounds of `giver_action_space`.
 
-    The products are the playback rate minus 1, displacement (m) and rotation vector (rad) of the wrist (world frame),
-    and the release. The giver follows the recording if all are 0; it releases the object if the last exceeds 0.5.
+    The products are: playback rate minus 1; displacement (m) and rotation vector (rad) from the recorded to the actual
+    wrist, in the world frame; and the release, which happens above 0.5. Zeros follow the recording.
     """
 
     name, agent, size = "deviation", "giver", GIVER_ACTION_SIZE
 
     def allocate(self, context: PolicyContext, count: int) -> None:
-        """Create the bounds of the actions; the constructor calls this once."""
+        """Create the bounds of the actions; called once, by the constructor."""
         space, arrays = giver_action_space(context.config.giver), self._arrays
         self._low, self._high = arrays.asarray(space.low, "float64"), arrays.asarray(space.high, "float64")
 
     def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return actions (r, 8) of the episodes with indices `rows`: outputs in physical units, within the bounds."""
+        """Return actions (r, 8) of the episodes with indices `rows`: outputs in physical units within the bounds."""
         xp = self._arrays.xp
         return xp.astype((self._outputs[rows] * self._high).clip(self._low, self._high), xp.float32)
 
 
 class HandoverPoseScheme(ArrayScheme):
-    """Scheme in which the network decides once per episode: handover pose, and withdrawal after the release.
+    """Scheme in which the network makes one decision per episode, an offer: where and how to hold out the object.
 
-    Outputs are requested when the recorded hand is about to stop at its own handover pose. Before that time the giver
-    follows the recording; afterwards it holds the chosen pose until the object is released, because robots take resting
-    objects best. If the gripper does not approach for two seconds, `HandoverPoseVariation` varies the pose.
+    The network is evaluated when the recorded hand is about to stop at its own handover pose. Before that time the
+    giver follows the recording. Afterwards it holds the chosen handover pose until the object is released, because
+    robots take resting objects best; then it withdraws the hand. If the gripper does not approach for two seconds,
+    `HandoverPoseVariation` scales the deviation from the recorded pose.
 
     | outputs | meaning at 1, in the frame of `compute_handover_frames` |
     |---|---|
     | 0-2 | translation of the object by 0.25 m: towards the gripper, to the left of this direction, and up |
-    | 3-5 | rotation of hand and object by 1 rad about these axes through the object's center |
-    | 6 | withdrawal of the hand by 0.3 m after the release; at -1 it stays |
+    | 3-5 | rotation vector of hand and object, 1 rad about each of these axes through the object's origin |
+    | 6 | withdrawal of the hand from the gripper by 0.3 m after the release; 0.15 m at 0, none at -1 |
 
     Attributes:
         max_output_translation: Translation of the object at output 1 (m).
         max_output_rotation: Rotation of hand and object at output 1 (rad).
         max_withdrawal: Distance by which the hand withdraws at output 1 (m).
-        arrival_tolerance: Outputs are requested when the recorded wrist will move by less than this along each axis
-            between 0.3 and 0.5 s from now (m).
-        latest_decision_s: Episode time from which outputs are requested even if the recorded wrist still moves (s).
+        arrival_tolerance: The hand is about to stop if the recorded wrist positions 0.3 and 0.4 s ahead differ by less
+            than this, along each axis, from the position 0.5 s ahead (m).
+        latest_decision_s: Episode time from which the network decides even if the recorded wrist still moves (s).
         pose_variation: Variation of the pose if the gripper does not approach.
     """
 
@@ -80,7 +81,7 @@ class HandoverPoseScheme(ArrayScheme):
     latest_decision_s = 2.5
 
     def allocate(self, context: PolicyContext, count: int) -> None:
-        """Create the arrays with the decision in each of n = `count` episodes; the constructor calls this once."""
+        """Create the arrays with the decision in each of n = `count` episodes; called once, by the constructor."""
         arrays = self._arrays
         self.pose_variation = HandoverPoseVariation(count, arrays)
         self._has_decided, self._has_pose, self._has_withdrawn = (arrays.zeros(count, "bool") for _ in range(3))
@@ -94,7 +95,10 @@ class HandoverPoseScheme(ArrayScheme):
         self.pose_variation.reset(row)
 
     def needs_outputs(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return (r,) whether to decide, once: a hand has the object, and stops soon or `latest_decision_s` is over."""
+        """Return whether the network must decide now, (r,), in the episodes with indices `rows`; it decides once.
+
+        It must when the hand holds the object, and is about to stop or `latest_decision_s` is over.
+        """
         xp, coming = self._arrays.xp, observation["replay_wrist_poses"][:, 2:, :3]
         moves = xp.astype(xp.max(xp.abs(coming - coming[:, -1:]), axis=(1, 2)), xp.float64)
         is_arriving = moves < self.arrival_tolerance
@@ -103,12 +107,12 @@ class HandoverPoseScheme(ArrayScheme):
         return ~self._has_decided[rows] & can & (is_arriving | is_late)
 
     def set_outputs(self, rows: AnyArray, outputs: AnyArray) -> None:
-        """Use outputs (r, 7), clipped to [-1, 1], as the decisions of the episodes with indices `rows`."""
+        """Store outputs (r, 7), clipped to [-1, 1], as the decisions in the episodes with indices `rows`."""
         super().set_outputs(rows, outputs)
         self._has_decided[rows] = True
 
     def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return actions (r, 8) of the episodes `rows`: zeros, then the chosen pose, then the withdrawal."""
+        """Return actions (r, 8): zeros (replay) before the decision, then the chosen pose, then the withdrawal."""
         xp = self._arrays.xp
         new = xp.nonzero(self._has_decided[rows] & ~self._has_pose[rows])[0]
         if len(new):
@@ -137,7 +141,7 @@ class HandoverPoseScheme(ArrayScheme):
     def _withdraw(self, rows: AnyArray, observation: Observation, begins: AnyArray, shift: AnyArray) -> None:
         """Store the final displacements of the hands that begin to withdraw, where `begins` (r,) is True.
 
-        A hand moves from its present displacement `shift` (r, 3) in m away from the gripper, as far as output 6 says.
+        A hand moves from its present displacement `shift` (r, 3) in m away from the gripper, as far as output 6 states.
         """
         length = (self._outputs[rows, 6:] + 1.0) / 2.0 * self.max_withdrawal
         withdrawal = shift + compute_withdrawals(observation, length)
@@ -156,7 +160,7 @@ class JointScheme(ArrayScheme):
     agent = "receiver"
 
     def allocate(self, context: PolicyContext, count: int) -> None:
-        """Create the joint limits; the constructor calls this once."""
+        """Create the joint limits; called once, by the constructor."""
         self._low, self._high = self._arrays.asarray(LOWER_LIMITS), self._arrays.asarray(UPPER_LIMITS)
 
     def _limit_targets(self, arm: AnyArray, closed: AnyArray) -> AnyArray:
@@ -184,9 +188,9 @@ class JointPositionScheme(JointScheme):
 
 
 class JointDeltaScheme(JointScheme, InvertibleScheme):
-    """Scheme of position increments of the seven arm joints, and an output that closes the gripper.
+    """Scheme of position increments of the seven arm joints, and an output that moves the gripper.
 
-    The gripper closes while the last output exceeds 0.
+    The gripper closes while the last output exceeds 0, else it opens.
 
     Attributes:
         step: Increment of a joint's position at output 1 (rad).
@@ -202,7 +206,7 @@ class JointDeltaScheme(JointScheme, InvertibleScheme):
         return self._limit_targets(arm, outputs[:, ARM_DOF] > 0.0)
 
     def outputs_from_actions(self, actions: AnyArray, observation: Observation) -> AnyArray:
-        """Return the outputs (r, 8) for target positions (r, 9); too long steps are shortened in the same direction."""
+        """Return outputs (r, 8) for target positions (r, 9); too large increments are scaled down by one factor."""
         xp, arm = self._arrays.xp, observation["robot_joint_position"][:, :ARM_DOF]
         deltas = _limit_largest((widen(actions[:, :ARM_DOF]) - arm) / self.step)
         return xp.concat([deltas, self._encode_fingers(actions)], axis=1)
@@ -221,7 +225,7 @@ class HandMotionScheme(JointScheme):
     damping = 0.05
 
     def allocate(self, context: PolicyContext, count: int) -> None:
-        """Create the joint limits and the arm's kinematics; called once."""
+        """Create the joint limits and the arm's kinematics; called once, by the constructor."""
         super().allocate(context, count)
         self._robot = ArmKinematics(read_tree(context.panda_urdf))
 
@@ -240,10 +244,10 @@ class HandMotionScheme(JointScheme):
 
 
 class CartesianDeltaScheme(HandMotionScheme, InvertibleScheme):
-    """Scheme of motions of the Panda's hand link in its own frame, and an output that closes the gripper.
+    """Scheme of motions of the Panda's hand link in its own frame, and an output that moves the gripper.
 
-    Outputs are translation (3), rotation vector (3) and gripper, which closes while the last output exceeds 0. The
-    motors complete 63 % of a motion in 0.1 s.
+    Outputs are translation (3), rotation vector (3) and gripper, which closes while the last output exceeds 0, else
+    opens. The motors complete 63 % of a motion in 0.1 s.
 
     Attributes:
         max_output_translation: Translation of the hand link at output 1 (m).
@@ -261,7 +265,10 @@ class CartesianDeltaScheme(HandMotionScheme, InvertibleScheme):
         return self._move(observation, translations, rotations, outputs[:, 6] > 0.0)
 
     def outputs_from_actions(self, actions: AnyArray, observation: Observation) -> AnyArray:
-        """Return the outputs (r, 7) for target positions (r, 9); too long steps are shortened in the same direction."""
+        """Return outputs (r, 7) for target positions (r, 9), which the Jacobian converts to motions of the hand link.
+
+        Too large translations and rotations are scaled down without a change of direction.
+        """
         xp, arm = self._arrays.xp, widen(observation["robot_joint_position"][:, :ARM_DOF])
         jacobian, _, axes = self._robot.compute_hand_jacobians(arm)
         twist = xp.sum(jacobian * (widen(actions[:, :ARM_DOF]) - arm)[:, None], axis=2)
@@ -272,13 +279,14 @@ class CartesianDeltaScheme(HandMotionScheme, InvertibleScheme):
 
 
 class GraspServoScheme(HandMotionScheme):
-    """Scheme that moves to the grasp of lowest cost, with corrections by the outputs, and then to the goal.
+    """Scheme that moves the gripper to the grasp of lowest cost, with corrections by the outputs, then to the goal.
 
-    The arm stays at the waiting pose during `wait`. Then it approaches the grasp chosen by
-    `handover_marl.learning.grasp_selector` along the grasp's z axis: the farther the gripper is from this axis or from
-    the grasp's orientation, the longer the standoff. Without a known grasp the gripper stays where it is. After the
-    release it moves to the goal. With zero outputs the gripper never closes, so that the policy has to learn when to
-    close and how to correct the approach. The target is the grasp, its standoff pose, or the goal after the release.
+    The arm stays at the waiting pose for the time `wait`. Then it approaches, along the grasp's z axis, the grasp that
+    `LowestCostGraspSelector` chooses: the farther the gripper is from this axis or from the grasp's orientation, the
+    longer the standoff, the distance from the grasp along this axis. Without a known grasp the gripper stays where it
+    is. After the release it moves to the goal. With zero outputs the gripper never closes, so that the policy has to
+    learn when to close and how to correct the approach. In the table, the target is the pose that the gripper
+    approaches: the standoff pose, the grasp, or, after the release, the goal with the present orientation.
 
     | outputs | meaning at 1, in the frame of the target |
     |---|---|
@@ -308,7 +316,7 @@ class GraspServoScheme(HandMotionScheme):
     standoff_per_offset, standoff_per_angle, max_standoff = 3.0, 0.3, 0.15
 
     def allocate(self, context: PolicyContext, count: int) -> None:
-        """Create the goal, the waiting pose, and whether the gripper closes in each of n = `count` episodes."""
+        """Create the goal position, the waiting joints, and the grippers' states in n = `count` episodes."""
         super().allocate(context, count)
         arrays = self._arrays
         self._max_translation = arrays.asarray(self.max_output_translation)
@@ -322,7 +330,10 @@ class GraspServoScheme(HandMotionScheme):
         self._is_closed[row] = False
 
     def set_outputs(self, rows: AnyArray, outputs: AnyArray) -> None:
-        """Use network outputs (r, 7), clipped to [-1, 1], in the episodes with indices `rows` until their next call."""
+        """Use outputs (r, 7), clipped to [-1, 1], in the episodes with indices `rows` until their next call.
+
+        A gripper whose output 6 exceeds `close_threshold` closes until the end of the episode.
+        """
         super().set_outputs(rows, outputs)
         self._is_closed[rows] |= self._outputs[rows, 6] > self.close_threshold
 
@@ -358,7 +369,7 @@ class GraspServoScheme(HandMotionScheme):
     def _find_targets(
         self, rows: AnyArray, observation: Observation, gripper: AnyArray, present: AnyArray
     ) -> tuple[AnyArray, AnyArray]:
-        """Return world positions (r, 3) in m and quaternions xyzw (r, 4) of targets that outputs have not corrected.
+        """Return world positions (r, 3) in m and quaternions xyzw (r, 4) of the targets, before outputs correct them.
 
         Hand links have the world poses `gripper` (r, 7), whose normalized quaternions are `present` (r, 4).
         """
@@ -374,7 +385,7 @@ class GraspServoScheme(HandMotionScheme):
     def _compute_standoffs(self, offsets: AnyArray, present: AnyArray, target: AnyArray) -> AnyArray:
         """Return standoffs (r,) in m for hand links at `offsets` (r, 3) from grasps, in m in the world frame.
 
-        World quaternions (r, 4) are those of the hand links, `present`, and of the grasps, `target`.
+        `present` (r, 4) are the world quaternions xyzw of the hand links, `target` (r, 4) those of the grasps.
         """
         xp = self._arrays.xp
         local = rotate_points(conjugate_quaternions(target), offsets)

@@ -55,11 +55,7 @@ class ArmInWorld:
         return np.asarray(self.compute_hand_poses(joints[None])[0])
 
     def compute_link_frames(self, joints: Array) -> tuple[Array, Array]:
-        """Return the world frames of the seven moving links at configurations (n, 7) (rad).
-
-        Returns:
-            Origins (n, 7, 3) in m, and rotation matrices (n, 7, 3, 3).
-        """
+        """Return world origins (n, 7, 3) in m and rotations (n, 7, 3, 3) of the arm's links at joints (n, 7) in rad."""
         chain = self.arm.compute_chain_frames(joints)
         rotation = self._world_from_base_rotation
         origins = chain.origins[:-1].transpose(2, 0, 1) @ rotation.T + self.base[:3]
@@ -127,7 +123,7 @@ class ServoConfig(CheckedConfig):
 
     Attributes:
         max_joint_speeds: Speed limits of the Panda's joints (rad/s).
-        speed_scale: Share of `max_joint_speeds` that is used, 0 to 1.
+        speed_scale: Factor on `max_joint_speeds`, above 0 to 1.
         max_acceleration: Maximum acceleration of each joint (rad/s^2).
         deceleration: Joint deceleration with which the arm stops at a goal configuration (rad/s^2).
     """
@@ -143,7 +139,7 @@ class ServoConfig(CheckedConfig):
 class ArmServo:
     """Controller that converts joint velocities to position targets of the arm's motors.
 
-    Position motors lag behind their targets. The targets therefore lead the wanted motion by the same amount.
+    The arm lags behind the targets of position motors. The targets therefore lead the wanted motion by the same amount.
 
     Args:
         config: Limits on joint speeds and accelerations.
@@ -153,8 +149,8 @@ class ArmServo:
 
     Attributes:
         period: Control period (s), which may be changed before each command.
-        max_speeds: (7,) joint speed limits (rad/s).
-        velocity: (7,) joint velocities of the last command (rad/s).
+        max_speeds: (7,) joint speed limits, scaled by `config.speed_scale` (rad/s).
+        velocity: (7,) joint velocities of the last `compute_motor_targets` (rad/s).
     """
 
     def __init__(self, config: ServoConfig, gain: float, period: float, time_step: float) -> None:
@@ -165,7 +161,7 @@ class ArmServo:
         self.velocity = np.zeros(len(config.max_joint_speeds))
 
     def reset(self) -> None:
-        """Set the last commanded joint velocity to zero, as at the start of an episode."""
+        """Set the stored joint velocities of the last command to zero; call it at the start of an episode."""
         self.velocity = np.zeros(len(self.config.max_joint_speeds))
 
     def compute_goal_velocity(self, joints: Array, goal: Array) -> Array:
@@ -186,21 +182,19 @@ class ArmServo:
         return velocity / excess if excess > 1.0 else velocity
 
     def limit_acceleration(self, velocity: Array, acceleration: float | None = None) -> Array:
-        """Clip wanted joint velocities (..., 7) in rad/s to velocities that can be reached in one period.
+        """Return joint velocities (..., 7) in rad/s, clipped to those that can be reached in one control period.
 
-        The result differs from the last command by at most the period times `acceleration` (rad/s^2), by default
-        `max_acceleration`.
+        They differ from `velocity` of the last command by at most the period times `acceleration` (rad/s^2), by default
+        `config.max_acceleration`.
         """
-        # Each joint is clipped on its own: with one common factor, a joint that reverses would make
-        # the other joints overshoot.
+        # Each joint is clipped on its own: with a common factor, a reversing joint would make the others overshoot.
         most = (self.config.max_acceleration if acceleration is None else acceleration) * self.period
         return np.asarray(self.velocity + np.clip(velocity - self.velocity, -most, most))
 
     def compute_motor_targets(self, joints: Array, velocity: Array, acceleration: float | None = None) -> Array:
         """Return motor position targets (7,) in rad that make the arm, now at joints (7,), move at a velocity (7,).
 
-        The velocity (rad/s) is clipped by `limit_acceleration` first, and is stored as the velocity of the last
-        command.
+        The velocity (rad/s) is first clipped by `limit_acceleration`, and then stored in the attribute `velocity`.
         """
         self.velocity = self.limit_acceleration(velocity, acceleration)
         lead = 1.0 / (1.0 - (1.0 - self._gain) ** (self.period / self._time_step))

@@ -56,19 +56,17 @@ class SeparationConfig(CheckedConfig):
     """Clearances that the moving robot keeps from the person, the object and the table.
 
     Attributes:
-        hand_clearance: Minimum clearance to the person's hand (m).
-        object_clearance: Minimum clearance to the object on the way to a standoff pose (m).
+        hand_clearance: Minimum clearance to the person's hand before the final approach (m).
+        object_clearance: Minimum clearance to the object that is handed over, on the way to a standoff pose (m).
         grasp_hand_clearance: Minimum clearance to the person's hand during the final approach (m).
-        obstacle_clearance: Minimum clearance to the other objects (m).
+        obstacle_clearance: Minimum clearance to the other objects before the final approach (m).
         grasp_obstacle_clearance: Minimum clearance to the other objects during the final approach (m).
         table_clearance: Minimum clearance above the table (m).
         time_constant: Shortest time in which the robot may use up the clearance beyond the minimum (s).
         approach_time_constant: Value of `time_constant` during the final approach to a grasp (s).
-        max_evasion_speed: Maximum speed at which the robot moves away from a body whose clearance
-            is below the minimum (m/s).
-        lookahead: Time for which clearances are predicted (s), because the clearance to a body that
-            passes by quickly may shrink abruptly.
-        slack: Amount by which a predicted clearance may fall below the minimum before the robot slows down (m).
+        max_evasion_speed: Maximum speed at which the robot moves away from a body closer than the minimum (m/s).
+        lookahead: Time for which clearances are predicted, as those to a quickly passing body shrink abruptly (s).
+        slack: Amount by which a predicted clearance may fall below the minimum before another velocity is chosen (m).
     """
 
     default_limits: ClassVar[tuple[float, float]] = (0.0, math.inf)
@@ -94,11 +92,12 @@ def enforce_separation(
     config: SeparationConfig,
     leaving: bool = False,
 ) -> Array:
-    """Change wanted joint velocities (7,) in rad/s at joints (7,) in rad so that the robot keeps clear of bodies.
+    """Return joint velocities (7,) in rad/s near `velocity` that keep the robot at joints (7,) in rad clear of bodies.
 
-    The velocity damper of this module limits how fast the robot approaches each body. If not all limits can be kept,
-    the last body has priority. The robot moves away from a body whose clearance is below the minimum. With `leaving`,
-    for the withdrawal from a person's hand, it is enough that the robot does not come closer to such a body.
+    The robot approaches each body at most with the clearance beyond the minimum, divided by `config.time_constant`. If
+    not all limits can be kept, the last body has priority. The robot moves away from a body whose clearance is below
+    the minimum. With `leaving`, for the withdrawal from a person's hand, it is enough that the robot does not come
+    closer to such a body.
     """
     hand, dampers = arm.compute_hand_pose(joints), []
     for body in bodies:
@@ -167,8 +166,8 @@ class PathObstacles:
 def is_path_clear(arm: ArmInWorld, start: Array, goal: Array, obstacles: PathObstacles) -> bool:
     """Return whether arm and open gripper keep clear of obstacles on the straight joint path from start to goal, (7,).
 
-    Clearances are checked at four points of the path. If the start has less than the wanted clearance, the path counts
-    as clear if none of these points has less clearance than the start.
+    Clearances are checked at four points of the path. If the start has less than the wanted clearance, it is enough
+    that these points have at least the clearance of the start.
     """
     path = start + _SHARES[:, None] * (goal - start)
     return bool(_are_clear(arm, start, path[None], obstacles)[0])
@@ -186,8 +185,8 @@ def find_via_point(
     """Return the via point (7,) of the fastest clear path from start to goal, (7,) in rad; None if none is clear.
 
     A path is straight in joint space from start to via point, and from via point to goal; it is clear by the rule of
-    `is_path_clear`. Candidates are `extra_candidates` (n, 7), and 50 fixed pseudo-random offsets from the middle
-    between start and goal. Only the `max_candidates` fastest paths at joint speeds `speeds` (7,) in rad/s are checked.
+    `is_path_clear`. Candidates are `extra_candidates` (n, 7) and 50 fixed pseudo-random points around the middle of
+    start and goal. Only the `max_candidates` fastest paths at joint speeds `speeds` (7,) in rad/s are checked.
     """
     candidates = np.clip(np.concatenate([extra_candidates, 0.5 * (start + goal) + _OFFSETS]), *arm.limits)
     to_candidate = (np.abs(candidates - start) / speeds).max(axis=1)
@@ -203,7 +202,7 @@ def find_via_point(
 
 
 def _are_clear(arm: ArmInWorld, start: Array, paths: Array, obstacles: PathObstacles) -> npt.NDArray[np.bool_]:
-    """Return a mask (n,) of the paths (n, k, 7) whose points all have the wanted clearance, or no less than `start`."""
+    """Return a mask (n,) of the paths (n, k, 7) whose k points all keep clear by the rule of `is_path_clear`."""
     line = np.concatenate([start[None], paths.reshape(-1, paths.shape[-1])])
     spheres = obstacles.spheres
     clearances = np.minimum(

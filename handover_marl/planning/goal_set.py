@@ -62,7 +62,7 @@ _LOOKAHEAD_RATE = 0.6
 _SMOOTHNESS_WEIGHT = 0.003
 # Number of last goals that the authors' code never checks for collisions; see `PlannerConfig.unchecked_last`.
 _UNCHECKED = 5
-#: Minimum clearance of the gripper to the person's hand (m); goals with less are excluded if other goals exist.
+#: Minimum clearance of gripper and person's hand (m); if no goal has it, only those with the largest one are kept.
 MIN_HAND_CLEARANCE = 0.02
 
 
@@ -129,11 +129,10 @@ class GoalSetBuilder:
     Args:
         arm: Kinematics of the arm.
         body: (m, 3) points on each link of the arm, in the link's frame (m).
-        gripper: (m, 3) points on the robot's hand and on each finger (m), from which clearances to
-            the person's hand are computed.
+        gripper: (m, 3) points on each link of hand and fingers (m), from which clearances to the person are computed.
         start: (7,) configuration at which motions start (rad).
         limits: Lower and upper joint limits with padding, (7,) each (rad).
-        unchecked_last: Whether the last five goals skip the collision check, as by an error in the authors' code.
+        unchecked_last: Whether the last five goals skip the collision check, an error of the authors' code.
     """
 
     def __init__(
@@ -151,10 +150,10 @@ class GoalSetBuilder:
     def build(self, grasps: Array, objects: Sequence[Obstacle], person: Obstacle | None) -> GoalSet:
         """Return the goals at which the hand link reaches one of the grasps, poses (n, 7; xyzw) in the base frame.
 
-        Goals are excluded if the hand turns far on the straight joint path to them, or if arm or hand link collide with
-        `objects` at the standoff. Goals with too little clearance to the person's hand, `person`, are excluded if
-        others exist. Of similar goals, the one with the largest clearance is kept. At most 100 goals are returned, in
-        a pseudo-random order that is the same in every call.
+        Goals are excluded if the hand turns far or tips on the straight joint path to them, if arm or hand link collide
+        with `objects` at the standoff, or if the clearance to the person's hand `person` is below 2 cm. If it is below
+        for all goals, only the largest is kept. Of goals with standoffs less than 0.5 rad apart, the one with the
+        largest clearance is kept. At most 100 goals are returned, in a fixed pseudo-random order.
         """
         goals = self._add_wrist_flips(self._solve_approaches(grasps))
         goals = goals.select(self._keeps_orientation(goals.goals))
@@ -167,7 +166,7 @@ class GoalSetBuilder:
         return self._remove_similar_goals(goals)
 
     def _compute_clearances(self, approaches: Array, person: Obstacle) -> Array:
-        """Return the smallest distances (g,) in m between gripper and the person's hand over the joints (g, t, 7)."""
+        """Return the smallest distances (g,) in m of gripper and person's hand on each of g approaches (g, t, 7)."""
         frames = self._arm.compute_link_frames(approaches.reshape(-1, approaches.shape[-1]))
         hand = len(frames.origins) - len(self._gripper)
         points = transform_body_points(LinkFrames(frames.origins[hand:], frames.rotations[hand:]), self._gripper)
@@ -176,7 +175,7 @@ class GoalSetBuilder:
         return np.asarray(by_point.min(axis=(0, 2)).astype(np.float64))
 
     def _solve_approaches(self, grasps: Array) -> GoalSet:
-        """Return a goal for each pair of grasp (n, 7) and IK seed for which IK solves all of the approach smoothly."""
+        """Return a goal for each pair of a grasp of (n, 7) and an IK seed from which IK solves the whole approach."""
         seeds = np.array([self._start, *_IK_SEEDS])
         numbers = np.repeat(np.arange(len(grasps)), len(seeds))
         joints, solved = self._solve(self._compute_approach_poses(grasps, 0), numbers, np.tile(seeds, (len(grasps), 1)))
@@ -195,7 +194,7 @@ class GoalSetBuilder:
         return np.asarray(compose(grasps, np.array([0.0, 0.0, -back, 0.0, 0.0, 0.0, 1.0])))
 
     def _solve(self, poses: Array, numbers: npt.NDArray[np.int_], starts: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
-        """Solve IK for poses (n, 7) `numbers` (k,) from joints `starts` (k, 7); return joints (k, 7) and success."""
+        """Solve IK for `poses[numbers]` (k, 7) from joints `starts` (k, 7); return joints (k, 7) and success (k,)."""
         rotations = Rotation.from_quat(poses[:, 3:]).as_matrix()
         targets = poses[numbers, :3], rotations[numbers]
         return solve_ik(self._arm, *targets, starts, self._limits, _TOLERANCE, _MAX_ITERATIONS)
@@ -225,7 +224,7 @@ class GoalSetBuilder:
         return np.asarray(is_allowed.reshape(len(shares), -1).all(axis=0))
 
     def _is_collision_free(self, standoffs: Array, obstacles: Sequence[Obstacle]) -> npt.NDArray[np.bool_]:
-        """Return a mask (g,) of the standoffs (g, 7) with at most five collisions of arm and hand, without fingers."""
+        """Return a mask (g,) of standoffs (g, 7) with at most five colliding arm and hand points; see `_UNCHECKED`."""
         points = transform_body_points(self._arm.compute_link_frames(standoffs), self._body)
         points = points[:, : points.shape[1] - _N_FINGERS * len(self._body[0])]
         hits = np.zeros(len(standoffs), dtype=np.int_)
@@ -252,15 +251,16 @@ class GoalSelector:
     """Online goal selection by mirror descent over experts (Wang et al., 2020, III-C).
 
     In each round, the cost of the straight joint path from a waypoint of the present trajectory to each goal is
-    estimated; later rounds use later waypoints. Experts are sets of weights of all goals with different learning rates.
+    estimated; later rounds use later waypoints. Each of five experts updates its own weights of all goals by the costs,
+    at its own learning rate. The selected goal has the largest mean weight, to which experts with low costs add more.
 
     Args:
         cost: Obstacle cost of straight paths.
         goals: (g, 7) goal configurations (rad).
         goal_costs: (g,) cost of each goal in addition to the cost of the path to it.
         n_waypoints: Number of waypoints of a trajectory.
-        unchecked_last: Whether objects have no cost only in the last goal's approach, instead of in every approach, as
-            by an error in the authors' code.
+        unchecked_last: Whether objects have a cost in all approaches but the last goal's, an error of the authors'
+            code; by default, they have none in any approach.
     """
 
     def __init__(
@@ -305,7 +305,7 @@ def update_weights(weights: Array, losses: Array) -> Array:
     """Return weights (n,) after a step of mirror descent on the simplex with shifted entropy.
 
     Each weight w becomes max(0, (w + d) exp(l - loss) - d) with d = 1 / (4 n + 1), and l such that the new weights
-    add up to one. The losses (n,) are scaled by the learning rate.
+    add up to one. The losses (n,) must already be multiplied by the learning rate.
     """
     shift = 1.0 / (4 * len(weights) + 1)
     scaled = (weights + shift) * np.exp(-losses)

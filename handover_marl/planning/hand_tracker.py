@@ -1,7 +1,7 @@
 """Geometry and motion of the person's hand, from observed keypoints.
 
-Keypoints follow MANO's order: the wrist, then three joints from the knuckle outwards of the index,
-middle, little and ring finger and of the thumb.
+Keypoints are in the order of the hand model MANO: the wrist, then three joints, from the knuckle outwards, of each
+finger: index, middle, little, ring, thumb.
 """
 
 from dataclasses import dataclass
@@ -57,8 +57,8 @@ class Capsules:
 def hand_capsules_from_observation(observation: Observation) -> Capsules | None:
     """Return capsules in the world that approximate the person's hand, or None if there is no hand.
 
-    Fingertips are not observed. The last bone of each finger gets the direction of the bone before
-    it, rotated by the last joint, and 0.9 times the length of the bone before.
+    Fingertips are not observed. The last bone of each finger gets the direction of the bone before it, rotated by the
+    last joint, and 0.9 times the length of that bone.
     """
     if not observation["hand_present"][0]:
         return None
@@ -95,7 +95,7 @@ class HandTracker:
     Attributes:
         spheres: Spheres that approximate the hand in the world, or None if there is no hand.
         points: (k, 3) keypoints of the hand in the world (m), empty if there is no hand.
-        velocity: (3,) filtered velocity of the keypoints' mean (m/s).
+        velocity: (3,) filtered velocity of the keypoints' mean in the world (m/s).
     """
 
     def __init__(self) -> None:
@@ -104,7 +104,7 @@ class HandTracker:
         self._time = 0.0
 
     def update(self, time: float, observation: Observation) -> None:
-        """Update position and velocity of the hand from an observation at a time (s)."""
+        """Update position and velocity of the hand from the receiver's observation at a time (s)."""
         capsules = hand_capsules_from_observation(observation)
         if capsules is None:
             self.spheres, self.velocity, self.points = None, np.zeros(3), np.zeros((0, 3))
@@ -128,7 +128,7 @@ class HandTracker:
         """Return the world pose (7,; xyzw), `ahead` seconds from now, of a frame that is fixed to the person's hand.
 
         `pose` (7,) is the frame's pose at an earlier time, and `points` (k, 3) are the `reference_points` of that time.
-        The frame moves with the hand until now, and then at the hand's velocity; without a hand it stays at `pose`.
+        The frame moves with the hand until now, then without rotation at `velocity`; without a hand it stays at `pose`.
         """
         if points.shape != self.points.shape or not len(points):
             return pose
@@ -148,5 +148,5 @@ class HandTracker:
         return float(np.linalg.norm(self.velocity))
 
     def compute_distance(self, position: Array) -> float:
-        """Return the distance (m) of the hand's nearest keypoint to a world position (3,), infinite without a hand."""
+        """Return the distance (m) of a world position (3,) to the hand's nearest keypoint, infinite without a hand."""
         return float(np.linalg.norm(self.points - position, axis=1).min()) if len(self.points) else np.inf

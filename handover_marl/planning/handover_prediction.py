@@ -29,16 +29,15 @@ class HandoverPosePredictorConfig(CheckedConfig):
 
     Attributes:
         velocity_horizon: Time for which the velocity is extrapolated (s).
-        attraction: Predicted translation of a fast object towards `mean_handover_position`, as a
-            share of its distance from there.
+        attraction: Predicted translation of a fast object as a share of its distance from `mean_handover_position`.
         attraction_speed: Speed scale of the second term (m/s); the term is smaller for slower objects.
         mean_handover_position: Mean position of objects when they are held out, world frame (m).
         rotation_horizon: Time for which the angular velocity is extrapolated (s).
         smoothing_time: Time constant of the velocity filter (s).
         rest_speed: Speed below which an object counts as at rest (m/s).
-        held_still_radius: Largest distance between a still object's positions now and `held_still_time` ago (m).
-        held_still_time: Time between the two positions by which an object counts as still (s).
-        held_still_min_lift: Smallest distance from a still object's first position to that `held_still_time` ago (m).
+        held_still_radius: Largest distance of a still object from its position `held_still_time` ago (m).
+        held_still_time: Time between the two positions by which an object counts as held still (s).
+        held_still_min_lift: Smallest distance of a still object, `held_still_time` ago, from its first position (m).
         held_still_horizon: Time for which the latest velocities of a still object are extrapolated (s).
     """
 
@@ -64,8 +63,8 @@ class HandoverPosePredictor:
     Attributes:
         velocity: (3,) filtered velocity of the object in the world (m/s).
         angular_velocity: (3,) filtered angular velocity of the object in the world (rad/s).
-        latest_velocity: (3,) velocity between the last two updates, not filtered (m/s).
-        latest_angular_velocity: (3,) angular velocity between the last two updates, not filtered (rad/s).
+        latest_velocity: (3,) world velocity between the last two updates, not filtered (m/s).
+        latest_angular_velocity: (3,) world angular velocity between the last two updates, not filtered (rad/s).
         acceleration: (3,) rate of change of `latest_velocity` (m/s^2).
         rest_time: Time for which the object has been at rest (s).
         start: (3,) position of the object at the first update (m), None before that update.
@@ -94,7 +93,7 @@ class HandoverPosePredictor:
             self._history.popleft()
 
     def _update_velocities(self, step: float, pose: Array) -> None:
-        """Filter the velocities after a time step (s) to a new pose (7,)."""
+        """Update velocities, acceleration and rest time after a time step (s) to a new pose (7,)."""
         kept = float(np.exp(-step / self.config.smoothing_time))
         rotation = (Rotation.from_quat(pose[3:]) * Rotation.from_quat(self._pose[3:]).inv()).as_rotvec()
         before = self.latest_velocity
@@ -108,7 +107,7 @@ class HandoverPosePredictor:
 
     @property
     def is_held_still(self) -> bool:
-        """Whether the object was lifted and is near the place where it was `held_still_time` ago."""
+        """Whether the object was lifted and is near its position `config.held_still_time` ago."""
         if self.start is None:
             return False
         config, (since, position) = self.config, self._history[0]
@@ -123,7 +122,7 @@ class HandoverPosePredictor:
 
     @property
     def lift_distance(self) -> float:
-        """Distance of the object from its first position (m)."""
+        """Distance of the object from its first position, in any direction (m)."""
         return 0.0 if self.start is None else float(np.linalg.norm(self._pose[:3] - self.start))
 
     def predict_handover_pose(self) -> Array:
@@ -144,7 +143,8 @@ class HandoverPosePredictor:
     def predict_point_twist(self, point: Array, ahead: float) -> tuple[Array, Array]:
         """Predict the velocities, linear (3,) in m/s and angular (3,) in rad/s, of a world point (3,) on the object.
 
-        Only the linear velocity is extrapolated, to the middle of the coming control period, which lasts `ahead` (s).
+        They hold for the middle of the coming control period, which lasts `ahead` (s). The object's linear velocity is
+        extrapolated to it at constant acceleration; the angular velocity is assumed to stay constant.
         """
         since = 0.5 * (self._step + ahead) if np.isfinite(self._step) else 0.0
         velocity = self.latest_velocity + since * self.acceleration

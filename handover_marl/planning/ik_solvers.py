@@ -63,14 +63,25 @@ def solve_ik(
     min_step: float = 0.0,
     max_step: float = np.inf,
 ) -> tuple[Array, npt.NDArray[np.bool_]]:
-    """Solve inverse kinematics of many hand poses in the base frame by Newton's method from joints `starts` (n, 7).
+    """Solve inverse kinematics of many hand link poses in the base frame by damped Newton steps.
 
-    Every iteration solves the linearized problem with the smallest joint motion and clamps the result to the joint
-    limits, (7,) each. Positions (n, 3) are in m; rotations (n, 3, 3) are None if free. A tolerance is one bound on each
-    component of the position error (m) and of the rotation vector (rad) to the goal, or two bounds on their norms. With
-    more damping (m^2), steps are shorter and stay nearer to the start. A search fails after `iterations` steps, or if
-    no joint moves by `min_step` (rad); steps that move a joint by more than `max_step` (rad) are scaled down. Returns
-    configurations (n, 7) in rad, and whether each one reaches its pose (n,).
+    Every step solves the linearized problem with the smallest joint motion, and clamps the joints to their limits.
+
+    Args:
+        arm: Kinematics of the arm.
+        positions: (n, 3) goal positions (m).
+        rotations: (n, 3, 3) goal rotation matrices from hand to base frame; None for any orientation.
+        starts: (n, 7) configurations at which the searches start (rad).
+        limits: Lower and upper joint limits, (7,) each (rad).
+        tolerance: One bound on every component of the position error (m) and of the rotation vector to the goal (rad),
+            or two bounds on the norms of these two.
+        iterations: Maximum number of steps, after which a search has failed.
+        damping: Damping (m^2); a larger one makes steps shorter and keeps them nearer to the start.
+        min_step: A search also fails at a step that moves no joint by this angle (rad).
+        max_step: Largest joint motion to which a step is scaled down (rad).
+
+    Returns:
+        Configurations (n, 7) in rad at which the searches ended, and a mask (n,) of those that reach their pose.
     """
     joints = np.clip(starts, *limits)
     solved = np.zeros(len(joints), dtype=bool)
@@ -108,10 +119,10 @@ def _is_within(error: Array, tolerance: float | tuple[float, float]) -> npt.NDAr
 
 
 def compute_pose_error(origins: Array, hand_rotations: Array, positions: Array, rotations: Array) -> Array:
-    """Return the errors (6, n) of present from wanted hand poses: missing translation (m) and rotation vector (rad).
+    """Return base-frame pose errors (6, n), goal minus present: translations (m), then rotation vectors (rad).
 
-    The present poses are `origins` (3, n) and `hand_rotations` (3, 3, n), as in `LinkFrames`; the wanted poses are
-    `positions` (3, n) and `rotations` (n, 3, 3).
+    The present poses are `origins` (3, n) and `hand_rotations` (3, 3, n), as in `LinkFrames`; the goals are `positions`
+    (3, n) and `rotations` (n, 3, 3). A rotation by exactly pi gives a zero rotation vector.
     """
     difference = np.einsum("nij,kjn->ikn", rotations, hand_rotations)
     twice_sine = np.stack(
@@ -133,9 +144,9 @@ def _smallest_motion(jacobian: Array, error: Array, damping: float) -> Array:
 
 
 def make_ik_stepper(urdf: Path, config: PandaConfig) -> IkStepper:
-    """Create an IK solver for a Panda that makes only a few iterations, so that it may not converge.
+    """Create an IK solver whose method `solve_step` makes only a few iterations, so that it may not converge.
 
-    `config` has the base pose. The solver is PyBullet's if PyBullet is installed, else a `PandaIkSolver`.
+    The solver is PyBullet's if PyBullet is installed, else a `PandaIkSolver`. The Panda's base pose is in `config`.
     """
     if not is_pybullet_installed():
         return PandaIkSolver(urdf, config)
@@ -145,7 +156,7 @@ def make_ik_stepper(urdf: Path, config: PandaConfig) -> IkStepper:
 
 
 class _ThreadSolvers(threading.local):
-    """Solvers of the current thread by model file, its time of change, and robot configuration."""
+    """Solvers of the current thread by model file, its modification time (ns) and robot configuration."""
 
     def __init__(self) -> None:
         self.solvers: dict[tuple[Path, int | None, PandaConfig], IkSolver] = {}
@@ -158,12 +169,11 @@ _thread_solvers = _ThreadSolvers()
 
 
 class ThreadIkSolver(IkSolver):
-    """Inverse kinematics by a solver that all policies of a thread share; it is PyBullet's if PyBullet is installed.
+    """Inverse kinematics by one solver for all policies of a thread: PyBullet's if installed, else `PandaIkSolver`.
 
-    A solver of PyBullet takes 44 to 90 MB, depending on the model, and a process can have 1,024 of them at most.
-    Solutions do not depend on earlier queries, so policies that share a solver get the same solutions as with one
-    each. Queries without solution are remembered, since a search that does not converge takes a hundred times as long
-    as others, and a receiver whose arm does not move repeats its query.
+    It is shared because each of PyBullet's takes 44 to 90 MB, and a process can have at most 1,024 of them. Solutions
+    do not depend on earlier queries. Queries without a solution are remembered, since a search that does not converge
+    takes a hundred times as long as others, and a receiver whose arm does not move repeats its query.
     """
 
     def __init__(self, urdf: Path, config: PandaConfig) -> None:
@@ -189,7 +199,7 @@ class ThreadIkSolver(IkSolver):
         return found
 
     def _find(self) -> IkSolver:
-        """Return the solver of the current thread, and make it if there is none; threads must not share one."""
+        """Return the solver of the current thread, made at the first call; threads must not share a solver."""
         solvers = _thread_solvers.solvers
         if self._key not in solvers:
             if len(solvers) >= _MAX_SOLVERS:
@@ -207,8 +217,8 @@ class ThreadIkSolver(IkSolver):
 class PandaIkSolver(IkSolver):
     """Inverse kinematics of a Panda without PyBullet; 95 % of its solutions are within 0.03 rad of PyBullet's.
 
-    Joint limits are ignored, as by `BulletIKSolver` and `BulletIKStep`. A solution is the same bit for
-    bit after any earlier queries, and with any other queries in its batch.
+    Joint limits are ignored, as by `BulletIKSolver` and `BulletIKStep`. A solution depends, to the last bit, neither on
+    earlier queries nor on the other queries of its batch.
 
     Args:
         urdf: Model of the Panda.

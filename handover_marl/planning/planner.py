@@ -59,10 +59,11 @@ class PlannerConfig:
         avoids_hand: Whether the person's hand is an obstacle; the authors' code ignores it.
         unchecked_last: Whether to reproduce an indexing error of the authors' code. Their code sets the obstacle costs
             in the last rows of an array to zero, as if these rows were the approach of a trajectory. In the collision
-            check the rows are goals: the last five goals pass it. In goal selection they are the waypoints of the last
-            goal: this goal seems cheap. Measured on DexYCB (exact physics, replay giver, paired by scene), the error
-            changes s0 test (144 scenes) by +2.1 percentage points of success (95 %: -6.8 to +11.0) and -4.9 of contact
-            (-12.6 to +3.0), s1 test (180 scenes) by +8.9 (+0.9 to +16.7) and -10.6 (-17.9 to -3.0).
+            check, rows are goals: the last five always pass. In goal selection, the last rows belong to the path to the
+            last goal: only this goal has a free approach and seems cheap. Measured on DexYCB (exact physics, replay
+            giver, paired by scene), the error changes the rates of success and of contact by +2.1 percentage points
+            (95 %: -6.8 to +11.0) and -4.9 (-12.6 to +3.0) on s0 test (144 scenes), by +8.9 (+0.9 to +16.7) and -10.6
+            (-17.9 to -3.0) on s1 test (180 scenes).
     """
 
     n_waypoints: int = 30
@@ -78,7 +79,7 @@ class Plan:
         start: (7,) configuration before the first waypoint (rad).
         goals: Goal set from which the goal of the trajectory was selected.
         goal_index: Index of the selected goal in `goals`.
-        trajectory: (w, 7) waypoints (rad); the last ones are the approach from standoff to grasp.
+        trajectory: (w, 7) waypoints (rad); the last five are the approach from standoff to grasp.
         steps: Number of optimization steps that were made.
     """
 
@@ -120,9 +121,9 @@ class Planner:
     def plan(self, grasps: Array, objects: Sequence[Obstacle], hand: Capsules | None = None) -> Plan | None:
         """Compute a trajectory to one of the grasps, which are hand link poses (n, 7; quaternion xyzw).
 
-        Grasps, obstacles `objects` and the person's `hand` (None to ignore it) are in the robot's base frame. Returns
-        None if no grasp passes the checks of `GoalSetBuilder.build`. A trajectory is also returned if its optimization
-        has not converged.
+        Grasps, obstacles `objects` and the person's `hand` are in the robot's base frame. The hand is ignored if it is
+        None or `config.avoids_hand` is false. Returns None if no grasp passes the checks of `GoalSetBuilder.build`. A
+        trajectory whose optimization has not converged is returned, too.
         """
         config = self.config
         person = make_hand_obstacle(hand) if hand is not None and config.avoids_hand else None
@@ -157,7 +158,7 @@ class Planner:
 
 
 def make_hand_obstacle(hand: Capsules) -> Obstacle:
-    """Return the person's hand, given in the base frame, as an obstacle for the planner."""
+    """Return the person's hand, given in the robot's base frame, as an obstacle for the planner."""
     reach = _HAND_PADDING + hand.radii.max()
     ends = np.concatenate([hand.starts, hand.ends])
     lower, upper = ends.min(axis=0) - reach, ends.max(axis=0) + reach
@@ -166,7 +167,7 @@ def make_hand_obstacle(hand: Capsules) -> Obstacle:
 
 
 def make_initial_trajectory(start: Array, goal: Array, n_waypoints: int) -> Array:
-    """Return `n_waypoints` waypoints (w, d) between two configurations (d,), on a cubic with rest at both ends."""
+    """Return waypoints (w, d) on a cubic path, at rest at both ends, between two configurations (d,), without these."""
     spline = CubicSpline([0.0, 1.0], np.stack([start, goal]), bc_type="clamped")
     return np.asarray(spline(np.linspace(0.0, 1.0, n_waypoints + 2)[1:-1]))
 
@@ -197,7 +198,7 @@ class Chomp:
         return float(0.5 * (steps**2).sum())
 
     def step(self, trajectory: Array, approach: Array, number: int) -> Array:
-        """Return a trajectory (w, 7) after gradient step `number` (from 1), moved to end with `approach` (t, 7)."""
+        """Return a trajectory (w, 7) after gradient step `number` (from 1), its end moved to `approach` (t, 7)."""
         smooth = self._metric @ trajectory + self._start_gradient[:, None] * self._start
         near = _OBSTACLE_WEIGHT * self._cost.compute_gradient(trajectory, self._start, approach[-1])
         near = np.clip(near, -_MAX_GRADIENT, _MAX_GRADIENT)
@@ -213,7 +214,7 @@ class Chomp:
         return np.maximum(low - trajectory, 0.0) + np.minimum(high - trajectory, 0.0)
 
     def is_finished(self, trajectory: Array, goal: Array) -> bool:
-        """Return whether the optimization of a trajectory (w, 7) to arm joints (7,) at a grasp (rad) may end early."""
+        """Return whether a trajectory (w, 7) to the configuration `goal` (7,) in rad needs no further optimization."""
         return (
             float(np.linalg.norm(trajectory[-1] - goal)) < _GOAL_TOLERANCE
             and self.compute_smoothness_cost(trajectory) < _MAX_SMOOTHNESS_COST
@@ -222,10 +223,7 @@ class Chomp:
         )
 
     def _project_to_limits(self, trajectory: Array) -> Array:
-        """Return the trajectory, moved smoothly into the joint limits up to a tolerance.
-
-        The approach moves, too; the next step restores it.
-        """
+        """Return the trajectory (w, 7), moved smoothly to within a tolerance of the joint limits, with its approach."""
         for _ in range(_MAX_LIMIT_PROJECTIONS):
             violation = self.compute_limit_violation(trajectory)
             if np.linalg.norm(violation) <= _LIMIT_TOLERANCE:

@@ -1,7 +1,8 @@
 """Clearances of the Panda's gripper and arm (elbow to wrist), for many configurations at once.
 
-The gripper is modelled as boxes, elbow to wrist as capsules, and other bodies as spheres. Lengths are in meters,
-poses are position and quaternion xyzw, and a negative clearance is the penetration depth.
+Hand, fingers and flange are modeled as boxes, elbow to wrist as capsules, and other bodies as spheres. Hand link poses
+`hands` and spheres are in the same frame. Lengths are in meters, poses are position and quaternion xyzw, and a negative
+clearance is the penetration depth.
 """
 
 import itertools
@@ -26,17 +27,16 @@ GRIPPER_BOX_HALF_SIZES = np.array(
     [[0.0316, 0.104, 0.046], [0.0105, 0.0133, 0.0271], [0.0105, 0.0133, 0.0271], [0.055, 0.055, 0.04]]
 )
 
-#: Center and half size of the volume that the fingers sweep when they close.
+#: Center and half size of the volume that the fingers sweep when they close, in the frame of `panda_hand`.
 CLOSING_BOX = (np.array([0.0, 0.0, 0.0855]), np.array([0.0105, 0.0666, 0.0271]))
 # Numbers of the boxes that sweep a volume on the straight approach: hand body and flange.
 _APPROACH_BOXES = (0, 3)
 _FLANGE = 3
-# Center and half size of the volume between the pads, slightly smaller than the one that they can grip.
+# Center and half size of the volume between the pads of the open gripper, slightly smaller than the graspable volume.
 _PAD_REGION = (np.array([0.0, 0.0, 0.094]), np.array([0.008, 0.04, 0.014]))
 
-#: Capsules of elbow, forearm and wrist: index of the moving link, both ends of the axis in the
-#: link's frame, and radius. They cover the convex hulls of the collision meshes of links 4 to 6 to
-#: within 1.6 cm; the forearm's hull is much wider on the side of its cover than elsewhere.
+#: Capsules of elbow, forearm and wrist: number of the moving link, both ends of the axis in the link's frame, radius.
+#: They cover the convex hulls of the collision meshes of links 4 to 6, of which the forearm is asymmetric, to 1.6 cm.
 ARM_CAPSULES = (
     (3, (0.0, 0.0, 0.045), (-0.08, 0.07, 0.0), 0.06),
     (3, (-0.082, 0.0, 0.0), (-0.082, 0.082, 0.0), 0.055),
@@ -71,7 +71,7 @@ class Spheres:
     radii: Array
 
     def transform_to_frame(self, pose: Array) -> "Spheres":
-        """Return the spheres in another frame; `pose` (7,; xyzw) is the pose of that frame in the present one."""
+        """Return the spheres in another frame, whose pose in the present frame is `pose` (7,), quaternion xyzw."""
         return Spheres(inverse_transform_points(pose, self.centers), self.radii)
 
     def select_within(self, position: Array, distance: float) -> "Spheres":
@@ -101,7 +101,7 @@ class ClosestPoints:
 
 
 def sample_surface_spheres(vertices: Array, faces: npt.NDArray[np.int_], count: int, radius: float) -> Spheres:
-    """Place `count` spheres (fewer on tiny meshes) of a radius (m) on a mesh's surface by farthest point sampling."""
+    """Place `count` spheres of a radius (m), fewer on tiny meshes, evenly on a mesh: vertices (v, 3), faces (f, 3)."""
     weights = np.array([(a, b, 1.0 - a - b) for a in _GRID for b in _GRID if a + b <= 1.0])
     points = np.einsum("sk,fkc->fsc", weights, vertices[faces]).reshape(-1, 3)
     chosen = find_farthest_points(points, min(count, len(points)), 0)
@@ -109,7 +109,7 @@ def sample_surface_spheres(vertices: Array, faces: npt.NDArray[np.int_], count: 
 
 
 def compute_gripper_corners(hands: Array) -> Array:
-    """Return the corners (n, 32, 3) of the gripper's four boxes at hand link poses (n, 7), in the poses' frame."""
+    """Return the corners (n, 32, 3) in m of the open gripper's four boxes at hand link poses (n, 7), in their frame."""
     signs = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
     local = (GRIPPER_BOX_CENTERS[:, None] + signs * GRIPPER_BOX_HALF_SIZES[:, None]).reshape(-1, 3)
     rotations = Rotation.from_quat(hands[:, 3:]).as_matrix()
@@ -117,7 +117,7 @@ def compute_gripper_corners(hands: Array) -> Array:
 
 
 def compute_flange_clearances(hands: Array, spheres: Spheres) -> Array:
-    """Return clearances (n,) in m, negative on overlap, between a body and the flange at hand link poses (n, 7)."""
+    """Return clearances (n,) in m, negative on overlap, of a body from the flange alone at hand link poses (n, 7)."""
     local = _points_in_hands(hands, spheres.centers) - GRIPPER_BOX_CENTERS[_FLANGE]
     return np.asarray((compute_box_distances(local, GRIPPER_BOX_HALF_SIZES[_FLANGE]) - spheres.radii).min(axis=1))
 
@@ -131,10 +131,10 @@ def compute_open_gripper_clearances(hands: Array, spheres: Spheres) -> Array:
 
 
 def compute_grasp_clearances(hands: Array, spheres: Spheres, sweep: float = 0.0, flange: bool = True) -> Array:
-    """Return clearances (n,) in m, negative on overlap, between a body and a closing gripper at hand poses (n, 7).
+    """Return clearances (n,) in m, negative on overlap, of a body from the closing gripper at hand link poses (n, 7).
 
-    The gripper includes the volume that the fingers sweep when they close, and the volume that the hand body sweeps on
-    a straight approach of length `sweep` (m) along the hand link's z axis; with `flange`, also what the flange sweeps.
+    The gripper is the volume that the fingers sweep when they close, and the volume that the hand body and, with
+    `flange`, the flange sweep on a straight approach of length `sweep` (m) along the hand link's z axis to the pose.
     """
     local = _points_in_hands(hands, spheres.centers)
     back = np.array([0.0, 0.0, 0.5 * sweep])
@@ -202,7 +202,7 @@ def compute_lowest_heights(arm: ArmInWorld, joints: Array) -> Array:
 
 
 def find_closest_arm_points(arm: ArmInWorld, joints: Array, spheres: Spheres) -> tuple[ClosestPoints, int]:
-    """Return the closest points of arm (elbow to wrist) and body at joints (7,) in rad, and the arm link's index."""
+    """Return the closest points of arm (elbow to wrist) and body at joints (7,) in rad, and the arm link's number."""
     starts, ends = (end[0] for end in _arm_segments(arm, joints[None]))
     axes = (ends - starts)[:, None]
     from_start = spheres.centers - starts[:, None]
@@ -218,7 +218,7 @@ def find_closest_arm_points(arm: ArmInWorld, joints: Array, spheres: Spheres) ->
 
 
 def _arm_segments(arm: ArmInWorld, joints: Array) -> tuple[Array, Array]:
-    """Return both ends (n, capsules, 3) of the axes of the arm's capsules at joints (n, 7) in the world (m)."""
+    """Return world positions (n, c, 3) in m of both ends of the axes of the c `ARM_CAPSULES` at joints (n, 7)."""
     origins, rotations = arm.compute_link_frames(joints)
     link_origins, link_rotations = origins[:, _LINKS], rotations[:, _LINKS]
     starts, ends = ((link_rotations @ local[..., None])[..., 0] + link_origins for local in (_STARTS, _ENDS))

@@ -27,8 +27,7 @@ WAYPOINT_PERIOD = 0.1
 def sample_body_points(urdf: Path, link_names: tuple[str, ...], count: int) -> tuple[Array, ...]:
     """Return `count` vertices (count, 3) in m of the visual mesh of each named link, in the frame of that link.
 
-    Vertices are selected by farthest point sampling, so that finely meshed details do not attract
-    most of the points as they do in random sampling.
+    Farthest point sampling spreads them evenly; random sampling would take most from finely meshed details.
     """
     sampled = []
     for vertices in read_link_vertices(urdf, "visual", list(link_names)):
@@ -98,7 +97,7 @@ class ObstacleCost:
 
     Attributes:
         arm: Kinematics of the arm.
-        body: (m, 3) points on each link of the arm, in the link's frame (m).
+        body: (m, 3) points on each of the arm's ten links, in the link's frame (m).
         obstacles: Obstacles in the robot's base frame.
         n_approach: Number of waypoints at the end of a trajectory that are the final approach to the grasp.
     """
@@ -111,8 +110,9 @@ class ObstacleCost:
     def evaluate_lines(self, start: Array, goals: Array, count: int, is_approach: npt.NDArray[np.bool_]) -> Array:
         """Return the obstacle costs (g,) of straight joint paths from one start (7,) to goals (g, 7).
 
-        The cost of a path is the sum of proximity cost times workspace speed over all body points, at `count` waypoints
-        between start and goal. Obstacles not `active_in_approach` have no cost where `is_approach` (g, count) is true.
+        The cost of a path is the sum of proximity cost times speed in space over all body points, at `count` evenly
+        spaced waypoints between start and goal. Where `is_approach` (g, count) is true, only obstacles with
+        `active_in_approach` have a cost.
         """
         shares = np.arange(count + 1) / (count + 1)
         line = start + shares[:, None, None] * (goals - start)
@@ -122,9 +122,9 @@ class ObstacleCost:
         return np.asarray((costs * speed).sum(axis=(0, 1), dtype=np.float64))
 
     def count_collisions(self, trajectory: Array, distance: float) -> int:
-        """Return the number of robot points that are closer than `distance` (m) to an obstacle, summed over obstacles.
+        """Return how often a body point is closer than `distance` (m) to an obstacle on a trajectory (w, 7) in rad.
 
-        Points are counted at every waypoint; in the approach, only for obstacles with `active_in_approach`.
+        Each point counts for each waypoint and obstacle; in the approach, only for obstacles `active_in_approach`.
         """
         points = self._points(trajectory)
         pairs = 0
@@ -134,9 +134,9 @@ class ObstacleCost:
         return pairs
 
     def compute_gradient(self, trajectory: Array, start: Array, end: Array) -> Array:
-        """Return the gradient (w, 7) of the obstacle cost of a trajectory (w, 7) between a start and an end (7,).
+        """Return the gradient (w, 7) of the obstacle cost of a trajectory (w, 7) between configurations start and end.
 
-        At every waypoint each link contributes its point of largest cost.
+        At every waypoint, only the point of largest cost on each link, without the fingers, contributes.
         """
         frames = self.arm.compute_link_frames(np.concatenate([start[None], trajectory, end[None]]))
         n_points = len(self.body[0])
@@ -165,7 +165,7 @@ class ObstacleCost:
         return np.asarray(np.sqrt(squared) * (project(gradients) - costs * curvature))
 
     def _joint_torques(self, frames: LinkFrames, points: Array, force: Array) -> Array:
-        """Return the joint torques (w, 7) of forces at points on links, both (3, l, w)."""
+        """Return the joint torques (w, 7) of forces (3, l, w) at points (3, l, w), one on each of l links."""
         joints = self.arm.n_joints
         axes, origins = frames.rotations[:joints, :, 2, 1:-1], frames.origins[:joints, :, 1:-1]
         levers = points[None] - origins[:, :, None]
@@ -174,7 +174,7 @@ class ObstacleCost:
         return np.asarray((torques * is_moved[..., None]).sum(axis=1).T)
 
     def _points(self, joints: Array) -> Floats:
-        """Return the body points (3, p, n) at configurations (n, 7)."""
+        """Return all p body points (3, p, n) in m in the base frame at configurations (n, 7) in rad."""
         return transform_body_points(self.arm.compute_link_frames(joints), self.body).astype(np.float32)
 
     def _costs(self, points: Floats, is_approach: npt.NDArray[np.bool_]) -> Floats:

@@ -35,7 +35,7 @@ from handover_marl.policies.reference import PolicyReference
 
 #: Actions (r, ...), float32.
 Actions: TypeAlias = AnyArray
-#: Function that returns the observations (r, ...) in the episodes whose indices (r,) it is given.
+#: Function that returns the observations (r, ...) in episodes, given the indices (r,) of these episodes.
 ObserveFunction = Callable[[AnyIndices], Observation]
 
 
@@ -54,7 +54,7 @@ class PolicyBatch(ABC):
 
     @abstractmethod
     def act(self, rows: AnyIndices, observe: ObserveFunction, steps: AnyIntegers) -> tuple[Actions, AnyIntegers]:
-        """Return actions (r, ...), new ones where a decision is due, and the physics steps (r,) of the next decisions.
+        """Return actions (r, ...), new where a decision is due, else held, and the next decisions' physics steps (r,).
 
         Args:
             rows: Indices (r,) of the episodes.
@@ -69,7 +69,7 @@ class SequentialPolicyBatch(PolicyBatch):
     Args:
         policies: Policy of each episode.
         check: Function that checks an action and returns it as float32.
-        arrays: Creator of the arrays of the episodes; policies observe NumPy arrays.
+        arrays: Creator of the arrays that `act` returns; the policies themselves observe NumPy arrays.
     """
 
     def __init__(
@@ -102,12 +102,12 @@ class SequentialPolicyBatch(PolicyBatch):
 
 
 class ArrayPolicy(Policy):
-    """Base class of policies for n episodes; the state of a policy is in arrays (n, ...), with one row per episode.
+    """Base class of policies that act in n episodes at once; a policy's state is in arrays (n, ...), a row per episode.
 
     Subclasses define `allocate`, `start` and `decide`. The constructor makes a policy for one episode, `copy_for` a
-    policy for several; the actions in an episode do not depend on other episodes. Arrays are NumPy arrays or PyTorch
-    tensors. The argument `rows` (r,) of methods has the indices of the episodes to which a method applies; observations
-    and actions have one row for each of these episodes.
+    policy for several; the actions in an episode must not depend on other episodes. Arrays are NumPy arrays or PyTorch
+    tensors. The argument `rows` (r,) of methods has indices of episodes; observations and actions have one row for each
+    of these r episodes.
     """
 
     _has_episode = False
@@ -125,12 +125,12 @@ class ArrayPolicy(Policy):
         """Return the agent's actions (r, ...) in the episodes `rows`, given its observations (r, ...)."""
 
     def count_hold_steps(self, rows: AnyIndices) -> int | AnyIntegers:
-        """Return the number of physics steps for which actions in the episodes `rows` are held: (r,) or one for all."""
+        """Return for how many physics steps actions in the episodes `rows` are held: (r,), or one number for all."""
         return steps_from_hold_time(self.hold_time)
 
     @property
     def is_batchable(self) -> bool:
-        """Whether `copy_for` may be used: not if a subclass overrides `act` or `reset`."""
+        """Whether `copy_for` may be used: False if a subclass overrides `act` or `reset`."""
         return (type(self).act, type(self).reset) == (ArrayPolicy.act, ArrayPolicy.reset)
 
     def copy_for(self, count: int, arrays: ArrayFactory) -> "ArrayPolicy":
@@ -140,12 +140,12 @@ class ArrayPolicy(Policy):
         return policy
 
     def reset(self, seed: int | None = None) -> None:
-        """Start an episode of a policy for one episode; the seed determines the policy's random numbers."""
+        """Start a new episode of a policy with one row; the seed determines the policy's random numbers."""
         self._has_episode = True
         self.start(0, seed)
 
     def act(self, observation: Observation) -> Action:
-        """Return the action of a policy for one episode, (8,) of a giver or (9,) of a receiver."""
+        """Return the action of a policy with one row, (8,) of a giver or (9,) of a receiver."""
         if not self._has_episode:
             raise ResetNeededError(f"{self.agent} {self.name!r} cannot act before reset(); call reset() first")
         if self.agent in observation:
@@ -208,7 +208,7 @@ def make_giver_actions(
 class PopulationBatch(PolicyBatch):
     """Policy batch of a population: in each episode, a randomly drawn member acts.
 
-    The argument `batches` has a policy batch of each member of `policy`, for all `count` episodes.
+    `batches` has a policy batch for each member of `policy`, in this order; each is for all `count` episodes.
     """
 
     def __init__(
@@ -244,7 +244,10 @@ def make_policy_batch(
     count: int,
     arrays: ArrayFactory = NUMPY_ARRAYS,
 ) -> PolicyBatch:
-    """Make the policy batch of `count` episodes: one `ArrayPolicy` if possible, else one policy for each episode."""
+    """Make the policy batch of `count` episodes: one `ArrayPolicy` if it is batchable, else a policy for each episode.
+
+    For a population, this applies to each member. Other arguments are those of `PolicyReference.make`.
+    """
     agent, space = reference.agent, giver_action_space(config.giver)
 
     def check(action: object) -> npt.NDArray[np.float32]:

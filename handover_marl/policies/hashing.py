@@ -62,10 +62,10 @@ def hash_object(value: object, arrays_only: bool = False) -> str:
 
 
 def hash_package(name: str) -> str:
-    """Return the version of a top-level package if it is installed and has one, else a hash of its Python files.
+    """Return the version of a top-level package or module if it is installed and has one, else a hash of its files.
 
-    The hash also covers the modules and packages in the package's parent folder, or beside a module that is outside a
-    package, that it imports, directly or not. A package of the standard library without a version gets "", code without
+    The hash covers all Python files of a package, or the file of a module, and modules and packages in the same folder
+    that these files import, directly or not. A package of the standard library without a version gets "", code without
     a file gets a random hash.
     """
     package, folders = sys.modules.get(name), _find_folders(name)
@@ -98,21 +98,21 @@ def find_package(function: object) -> str:
 
 
 def _get_package(definition: Any) -> str:
-    """Return the top-level package that defines a function or class; also for a script in it that `python -m` runs."""
+    """Return the top-level package or module of a function or class; "__main__" for a script not run in a package."""
     module = definition.__module__ or "builtins"
     package, is_in_package, _ = _get_import_name(module).partition(".")
     return package if is_in_package else module
 
 
 def _get_import_name(module: str) -> str:
-    """Return the name from which other programs import a module: for a script, that of its file."""
+    """Return the name by which other programs import a module; for "__main__", the name of the module that runs."""
     main = sys.modules.get(_SCRIPT) if module == _SCRIPT else None
     spec, file = getattr(main, "__spec__", None), getattr(main, "__file__", None)
     return str(spec.name) if spec is not None else Path(file).name.partition(".")[0] if file else module
 
 
 def _find_imported_files(files: tuple[Path, ...], folder: Path) -> set[Path]:
-    """Return Python files and, if not installed, modules and packages in `folder` that they import, directly or not."""
+    """Return `files` and, unless `folder` is installed, its Python files that they import, directly or not."""
     finder = ModuleFinder([str(folder)], excludes=[_LIBRARY])
     for file in () if _SITE_FOLDERS & set(folder.parts) else files:
         # Compiled code, code for another Python, or a relative import in a folder without __init__.py.
@@ -165,7 +165,7 @@ def _describe(value: Any, seen: dict[int, tuple[int, object]], arrays_only: bool
 
 
 def _list_parts_of_definition(value: Any) -> list[Any]:
-    """Return what is hashed of a function, class or module: name, package, code, and variables that the code uses."""
+    """Return the parts to hash of a function, class or module: name, package, code, and variables the code uses."""
     if isinstance(value, ModuleType):
         return [value.__name__, hash_package(value.__name__.partition(".")[0])]
     packages = {_get_package(base) for base in (value.__mro__ if isinstance(value, type) else [value])}
@@ -189,10 +189,7 @@ def _list_parts_of_definition(value: Any) -> list[Any]:
 
 
 def _list_parts_of_code(code: CodeType, names: set[str]) -> list[Any]:
-    """Return what is hashed of a function's code and of the functions defined in it; add their names to `names`.
-
-    These are the names of variables and attributes that the code reads.
-    """
+    """Return the parts to hash of a function's code and of functions in it; add the names that it reads to `names`."""
     names.update(code.co_names)
     constants = [
         _list_parts_of_code(part, names) if isinstance(part, CodeType) else part

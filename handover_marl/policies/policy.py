@@ -94,8 +94,8 @@ def make_policy_context(
 class Policy(ABC):
     """Base class of policies: a policy maps observations of one agent to its actions.
 
-    A policy holds no environment. Its constructor may take `context`, a `PolicyContext`, and options with
-    defaults, which can be given with its name (`omg:wait=1.5`).
+    A policy has no access to the environment. Its constructor may take `context`, a `PolicyContext`, and options with
+    default values; users can set options in the text that names the policy (`omg:wait=1.5`).
 
     Args:
         context: Robot, protocol, objects and known grasps; default: none, for policies that are
@@ -108,8 +108,8 @@ class Policy(ABC):
         obs_mode: Observation mode of a receiver: "state", or camera data such as "pointcloud" or
             "state+rgbd"; see `handover_marl.episode.spaces.OBS_PARTS`. Images are rendered only when the
             policy acts, and rendering does not count as planning time.
-        file_options: Constructor options that name a file or folder; the files are sent to other machines.
-        non_file_values: Values of these options that are names, not files.
+        file_options: Names of constructor options whose value is a file or folder, which is sent to other machines.
+        non_file_values: Values of `file_options` that are not files, such as the name of a shipped population.
     """
 
     agent: ClassVar[str | None] = None
@@ -147,11 +147,11 @@ class Policy(ABC):
 
     @abstractmethod
     def reset(self, seed: int | None = None) -> None:
-        """Start an episode; forget all earlier episodes.
+        """Start an episode; the actions in it must not depend on earlier episodes.
 
         Args:
-            seed: Seed of the policy's random generator. In evaluations it is a hash of the run's seed and
-                a receiver's first observation or a giver's scene.
+            seed: Seed of the policy's random generator. In evaluations it is a hash of the run's seed and, for a
+                receiver, the first observation, or for a giver, the scene number.
         """
 
     @abstractmethod
@@ -206,9 +206,7 @@ class Giver(Policy):
 
     @abstractmethod
     def act(self, observation: Observation) -> Action:
-        """Return the giver's action (8,) float32, a deviation from the recording.
-
-        `make_giver_action` makes an action from its components.
+        """Return the giver's action (8,) float32, a deviation from the recording; see `make_giver_action`.
 
         Args:
             observation: Element of `handover_marl.episode.observations.giver_observation_space`.
@@ -303,19 +301,19 @@ def get_parameters(policy_class: type) -> dict[str, inspect.Parameter]:
 
 
 def require_reset(part: _Part | None, receiver_name: str) -> _Part:
-    """Return a part that the `reset` of a receiver creates; raise a `ResetNeededError` if the part is None."""
+    """Return `part`, which a receiver's `reset` creates; raise `ResetNeededError` if it is None (before `reset`)."""
     if part is None:
         raise ResetNeededError(f"receiver {receiver_name!r} cannot act before reset(); call reset() first")
     return part
 
 
 def override_options(config: _Config, options: Mapping[str, object]) -> _Config:
-    """Return a copy of a policy's configuration with the numbers in `options`; raise an error for a wrong option.
+    """Return a copy of a policy's configuration with the numbers in `options`.
 
     Args:
-        config: Configuration to change, a dataclass.
+        config: Configuration to change, a dataclass whose fields may be dataclasses, too (sections).
         options: Numbers by name: FIELD for a field of the configuration, such as `near_period`, or SECTION_FIELD for
-            a field of one of its sections, such as `approach_standoff`.
+            a field of one of its sections, such as `approach_standoff` for `config.approach.standoff`.
     """
     sections: dict[str, Any] = {name: part for name, part in vars(config).items() if is_dataclass(part)}
     parts = {"": config} | {f"{name}_": part for name, part in sections.items()}

@@ -47,7 +47,7 @@ class Partner:
         name: Unique name in the population.
         family: Name of a kind of behavior that partners share; each family is in one split only.
         split: "train" or "test".
-        policy: Policy with its options, as for `handover_marl.evaluate_pair`; may contain `{folder}`.
+        policy: Text that names the policy and its options, e.g. "omg:wait=1.5"; `{folder}` is the folder of the file.
         description: One sentence on the behavior.
     """
 
@@ -60,7 +60,7 @@ class Partner:
 
 @dataclass(frozen=True)
 class Population:
-    """Population of givers and receivers, with which policies are trained and evaluated.
+    """Population of givers and receivers, the partners with which policies are trained and evaluated.
 
     Attributes:
         name: Name of the population.
@@ -86,7 +86,7 @@ class Population:
         return f"{self.name} {self.version} ({self.content_hash})"
 
     def get_policy(self, partner: Partner) -> str:
-        """Return the text of a partner's policy, in which the folder of this population replaces `{folder}`."""
+        """Return a partner's `policy` with the folder of this population's file in place of `{folder}`."""
         return partner.policy.replace(_FOLDER, str(self.path.parent))
 
     def select(self, agent: str, split: str) -> tuple[Partner, ...]:
@@ -230,7 +230,7 @@ class PopulationPolicy(Policy):
 
     @property
     def wait(self) -> float | None:
-        """Time (s) that every member waits at the start of an episode; None if the times of the members differ."""
+        """Time (s) for which every member waits at the start of an episode; None if it differs between members."""
         waits = {member.wait for member in self.members}
         return waits.pop() if len(waits) == 1 else None
 

@@ -70,9 +70,9 @@ class PolicyReference:
         label: Name of the policy with its options in tables and result folders; empty until
             `resolve`.
         code_hash: Hash of the policy's code and weights (`hash_policy`); empty until `resolve`.
-        wait: Time (s) for which the policy stays at its start, or None if unknown; set by `resolve`.
+        wait: Time (s) for which the robot waits at the start of an episode, None if unknown; set by `resolve`.
         obs_mode: Observation mode that the policy declares; set by `resolve`.
-        packages: Top-level packages from which a pickled function is imported.
+        packages: Top-level packages, beside that of the class, from which `pickled` imports functions when it is read.
     """
 
     agent: str
@@ -109,7 +109,7 @@ class PolicyReference:
         return self.make_from_context(make_policy_context(dataset or open_dataset(), config, setup))
 
     def make_from_context(self, context: PolicyContext | None) -> Policy:
-        """Construct the policy with a context (None if the policy needs none); errors are those of `make`."""
+        """Construct the policy with a context, None if it needs none; raise PolicyError if its constructor fails."""
         found = self._load()
         if isinstance(found, Policy):
             return found
@@ -167,7 +167,7 @@ class PolicyReference:
 
         Returns:
             A tuple for each file: the option that names the file ("" for the policy file), the name of the file
-            ("folder/file" in a folder), and its content. Options that name no existing file are left out.
+            ("folder/file" if the option names a folder), and its content. Options without a file are left out.
         """
         named = [] if self.file is None else [("", Path(self.file))]
         for option, value in self.options:
@@ -199,12 +199,12 @@ def read_policy_file(path: Path) -> bytes:
 
 @dataclass(frozen=True)
 class PolicyBundle:
-    """Policy reference and the contents of the policy's files, to send the policy to machines without shared folders.
+    """Policy reference with the contents of the policy's files, to send the policy to machines without shared folders.
 
     Attributes:
         reference: Reference to the policy on the machine that packed it.
-        packages: Name and hash of each package with the policy's code, except code that is pickled in the reference.
-            The other machine must have packages with these hashes.
+        packages: Pairs (name, hash) of the packages from which the policy's code is imported; code that is pickled in
+            the reference has none. The other machine must have packages with these hashes.
         files: Files of the policy, see `PolicyReference.read_files`.
     """
 
@@ -220,7 +220,7 @@ class PolicyBundle:
         return cls(reference, packages, tuple(reference.read_files()))
 
     def unpack(self, folder: Path) -> PolicyReference:
-        """Write the files to a folder; return a reference that names them; raise PolicyError if code here differs.
+        """Write files to a folder, return a reference to them; raise PolicyError if a package is missing or differs.
 
         Args:
             folder: Existing folder for the bundle's files.

@@ -22,7 +22,7 @@ def list_available(agent: str) -> tuple[str, ...]:
 
 
 def load_registered(agent: str, name: str) -> type | None:
-    """Load the class of the "giver" or "receiver" that is registered as `name`; return None for an unknown name."""
+    """Load the class registered as `name` for a "giver" or "receiver"; None if unknown, OptionError if that fails."""
     group = _get_group(agent)
     points = {point.value: point for point in _find_points(group).select(name=name)} if name else {}
     if len(points) > 1:
@@ -61,8 +61,8 @@ def check_stored_reference(
 
     Args:
         source: The file, for error messages.
-        kind: Kind of what the text names, e.g. "features", for error messages.
-        text: Text of the file: a name with or without options, or `module:name`.
+        kind: Kind of the named thing, e.g. "features", for error messages.
+        text: Text in the file: a name with or without options, or `module:name`.
         trust: Whether modules that the file names may be imported.
         registered: Registered names, which may precede ":" and options.
         advice: Another way for the user to allow the import, for error messages.

@@ -1,4 +1,4 @@
-"""Physics engines by name: creation of worlds."""
+"""Creation of simulated worlds by the names of physics engines, backends and devices."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
@@ -47,7 +47,7 @@ def make_world(physics: str, config: PhysicsConfig, window: bool = False) -> Wor
     Args:
         physics: Kind of physics, one of `PHYSICS`.
         config: Constants of the world.
-        window: Whether to show the world in a window.
+        window: Whether to show the world in a window, which MuJoCo refuses with `OptionError`.
     """
     check_physics(physics)
     # Engines are imported only when they are used: PyBullet is optional, and both take long.
@@ -74,7 +74,7 @@ class BatchBackend:
 
 
 def check_backend(backend: BatchBackend) -> None:
-    """Raise `UnknownNameError` for an unknown backend or device, `OptionError` if packages or device are missing."""
+    """Raise `UnknownNameError` for an unknown backend or device, `OptionError` if they cannot be used here."""
     check_name("backend", backend.name, BACKENDS)
     check_name("device", backend.device, DEVICES)
     if backend.name == THREADS:
@@ -100,7 +100,7 @@ def make_world_batch(config: PhysicsConfig, count: int, backend: BatchBackend, a
         config: Constants of the worlds.
         count: Number of worlds.
         backend: Engine and device.
-        arrays: Creator of arrays on this device: NumPy arrays, or tensors for MuJoCo Warp.
+        arrays: Creator of arrays on the device of `backend`: NumPy arrays, or tensors for MuJoCo Warp.
     """
     check_physics(MUJOCO)
     check_backend(backend)

@@ -1,4 +1,4 @@
-"""Lower bounds on the number of steps in which the Panda cannot touch hand or objects."""
+"""Lower bounds on the number of steps in which the Panda cannot touch human hand or objects."""
 
 from collections.abc import Mapping
 
@@ -63,8 +63,8 @@ class RobotMotionBounds:
 
         Args:
             joints: Current positions (..., 9) and velocities (..., 9) of the robot (rad, m).
-            link_poses: Current world poses (..., L, 7; quaternions xyzw) of `links`.
-            robot_target: Joint targets (..., 9) of all n coming steps (rad, m).
+            link_poses: Current world poses (..., L, 7; quaternions xyzw) of the links in the attribute `links`.
+            robot_target: Joint targets (..., 9) of the robot, constant in the n coming steps (rad, m).
             centers: Centers (..., n, m, 3) of spheres around the bodies after each step (m); inf for absent bodies.
             radii: Radii (..., m) of the spheres around the bodies (m).
 
@@ -90,16 +90,16 @@ class RobotMotionBounds:
         return np.asarray(np.where(near.any(axis=-2), near.argmax(axis=-2), steps))
 
     def compute_sphere_centers(self, link_poses: npt.NDArray[np.floating]) -> Array:
-        """Return world centers (..., b, 3) in m of the robot's spheres at poses (..., L, 7), xyzw, of its links."""
+        """Return world centers (..., b, 3) in m of b spheres of `links` and base for link poses (..., L, 7; xyzw)."""
         links = transform_points(link_poses, self.link_centers)
         base = np.broadcast_to(self.base_centers, (*links.shape[:-2], *self.base_centers.shape))
         return np.concatenate([links, base], axis=-2)
 
     def is_near(self, robot_centers: Array, centers: Array, radii: Array) -> npt.NDArray[np.bool_]:
-        """Return a mask (...) of the worlds of a batch in which any of m bodies is within 3 cm of the robot's spheres.
+        """Return a mask (...) of the worlds of a batch in which the sphere around any of m bodies is near the robot.
 
         Args:
-            robot_centers: Centers (..., b, 3) of the robot's spheres (m), from `compute_sphere_centers`.
+            robot_centers: Centers (..., b, 3) of the robot's spheres (m). Spheres less than 3 cm apart are near.
             centers: Centers (..., m, 3) of spheres around the bodies (m); inf for absent bodies.
             radii: Radii (..., m) of the spheres around the bodies (m).
         """

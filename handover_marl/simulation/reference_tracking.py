@@ -1,4 +1,4 @@
-"""Reference motions (joint targets) of hand and objects, and the motion of joints that track them without contact.
+"""Reference motions (joint targets) of human hand and objects, and motions that track them without contact.
 
 Row k is step k of the current reference motion; row -1 is the state before its first step.
 """
@@ -25,9 +25,9 @@ class ReferenceMotion:
     """Joint targets of human hand and objects in n physics steps, of one world or of r worlds (world frame, m, rad).
 
     Attributes:
-        objects: Joint targets (n, m, 6) of one world's m objects in the scene's order: xyz, Euler angles, float32; or
-            (r, n, 5, 6) of r worlds, with zeros for no object.
-        hand: Joint targets (n, 51) or (r, n, 51) of the hand, float32.
+        objects: Joint targets (n, m, 6) of one world's m objects in the scene's order: xyz, intrinsic XYZ Euler angles,
+            float32; or (r, n, 5, 6) of r worlds, with zeros for no object.
+        hand: Joint targets (n, 51) or (r, n, 51) of the human hand, float32.
         hand_present: Whether the hand is in the scene in each step, (n,) or (r, n).
     """
 
@@ -36,15 +36,15 @@ class ReferenceMotion:
     hand_present: AnyArray
 
     def select_rows(self, rows: AnyArray) -> "ReferenceMotion":
-        """Return the joint targets of the worlds whose indices are `rows`."""
+        """Return the reference motion of some of the r worlds: those with the indices `rows`."""
         return ReferenceMotion(self.objects[rows], self.hand[rows], self.hand_present[rows])
 
     def select(self, number: int, n_objects: int) -> "ReferenceMotion":
-        """Return the joint targets of the world with index `number`, which has `n_objects` objects."""
+        """Return the reference motion of the one world with the index `number`, which has `n_objects` objects."""
         return ReferenceMotion(self.objects[number, :, :n_objects], self.hand[number], self.hand_present[number])
 
     def list_hand_targets(self) -> list[list[float] | None]:
-        """Return the hand's 51 joint targets in each step; None in steps without a hand."""
+        """Return the hand's 51 joint targets in each step of one world's motion; None in steps without a hand."""
         return [
             row if present else None
             for row, present in zip(self.hand.tolist(), self.hand_present.tolist(), strict=True)
@@ -57,7 +57,7 @@ def list_hand_motors(config: HandConfig) -> list[MotorConfig]:
 
 
 def list_object_motors(config: ObjectConfig) -> list[MotorConfig]:
-    """Return the motor parameters of an object's six joints: xyz and intrinsic XYZ Euler angles."""
+    """Return the motor parameters of an object's six joints: xyz, then intrinsic XYZ Euler angles."""
     return [config.translation_motor] * 3 + [config.rotation_motor] * 3
 
 
@@ -72,10 +72,10 @@ def select_keypoint_links(joints: Sequence[int]) -> list[int]:
 
 
 class BodyTrajectory:
-    """Joint trajectory of a hand or an object that tracks its reference without contact.
+    """Joint trajectory of a human hand or an object that tracks its reference motion without contact.
 
     The position error of each joint falls by a fixed ratio per step, as with Bullet's motors. The joint positions
-    differ by less than 1e-4 (m, rad) from simulated ones.
+    differ by less than 1e-4 (m, rad) from simulated ones. `track_references` computes them.
 
     Args:
         motors: Parameters of the motors of the d joints.
@@ -100,7 +100,7 @@ class BodyTrajectory:
             self.joints[:] = start
 
     def predict_positions(self, row: int) -> Array:
-        """Predict the positions (n - row, 3) of wrist or object origin after each step from `row` on (m).
+        """Return the world positions (n - row, 3) of wrist or object origin in m after each step from `row` on.
 
         The reference motion has n steps. Positions are inf while the body is absent.
         """
@@ -114,7 +114,7 @@ class BodyTrajectory:
         return bool(self.present[row + 2])
 
     def get_joints(self, row: int) -> Array:
-        """Return the joint positions (d,) in m and rad after step `row`; rows are as in `is_present_after`."""
+        """Return the joint positions (d,) (m, rad) after step `row`, -2 or more, of the current reference motion."""
         joints: Array = self.joints[row + 2]
         return joints
 
@@ -124,9 +124,9 @@ TrackedReference = tuple[BodyTrajectory, npt.NDArray[np.float32], npt.NDArray[np
 
 
 def track_references(references: Sequence[TrackedReference]) -> None:
-    """Compute and store the trajectories of bodies under new reference motions, from their current positions on.
+    """Replace `joints` and `present` of bodies by the trajectories under new reference motions.
 
-    A trajectory does not depend on how its steps are divided into calls, nor on the other bodies.
+    Each trajectory starts where the last one ends, and does not depend on how its steps are divided into calls.
     """
     moving: dict[int, list[tuple[BodyTrajectory, int, Array, Array]]] = {}
     for body, targets, presence in references:

@@ -1,4 +1,4 @@
-"""Interface of the simulated worlds, which have robot, hand, objects and contacts, but no rules of the task."""
+"""Interface of the simulated worlds: robot, human hand, objects and contacts, without the rules of the task."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -35,14 +35,15 @@ NO_POINTS: Points = np.zeros((0, 3), dtype=np.float32)
 class Contacts(NamedTuple):
     """Contacts of robot, hand and objects after one physics step.
 
-    Only contacts with a normal force above zero count. The target object is the one that is handed over.
+    Only contacts with a normal force above zero count. The target object is the one that is handed over. MuJoCo's sums
+    of forces leave out the weakest contacts if there are many.
 
     Attributes:
         robot_touches_hand: Whether the Panda touches the human hand.
         robot_touches_object: Whether the Panda touches the target object.
-        finger_points: Contact points (n, 3) of the left and of the right finger with the target object, in the link
-            frame of that finger (m), float32.
-        object_supported: Whether the target object touches the table or another object. Valid after the release only.
+        finger_points: Contact points of the left and of the right finger with the target object, (n, 3) each, in the
+            link frame of that finger (m), float32.
+        object_supported: Whether the target object touches the table or another object; False before the release.
         object_height: World z of the target object's origin (m). Valid after the release, and while the robot touches
             the object.
         gripper_position: World position of the Panda's hand link (m). Valid whenever `object_height` is.
@@ -112,8 +113,8 @@ class RolloutEnd(NamedTuple):
     ended: AnyArray
 
 
-#: Function that applies the task's rules. Its arguments are the indices (n,) of worlds in a rollout, and the contacts
-#: of these worlds in k steps.
+#: Function that applies the task's rules to the next k steps of a rollout. Its arguments are the indices (n,) of worlds
+#: in the rollout, and the contacts of these worlds in the k steps. It counts steps from call to call.
 JudgeFunction = Callable[[AnyIndices, RolloutContacts], RolloutEnd]
 
 
@@ -135,7 +136,7 @@ class WorldState(NamedTuple):
         object_poses: Poses (5, 7) of the objects, the target first; zeros for no object.
         hand_present: 1 with a hand, 0 without, (1,).
         hand_dof_position: Positions (51,) of the human hand's joints, zeros without a hand.
-        hand_keypoints: Positions (16, 3) of the wrist and the finger-joint origins, zeros without a hand.
+        hand_keypoints: Positions (16, 3) of wrist and 15 finger joints in MANO's order, zeros without a hand.
     """
 
     robot_joint_position: AnyArray
@@ -155,10 +156,10 @@ class WorldState(NamedTuple):
         hand_joints: npt.NDArray[np.float32] | None,
         hand_keypoints: npt.NDArray[np.float32] | None,
     ) -> "WorldState":
-        """Return the state of one world from the readings of its bodies, with the shapes and frames of the attributes.
+        """Return the state of one world; the arguments have the units and frames of the attributes.
 
-        `robot_joints` are positions and velocities, `object_poses` (m, 7) are the poses of m objects. `hand_joints` and
-        `hand_keypoints` are None if there is no human hand.
+        `robot_joints` are positions (9,) and velocities (9,), `object_poses` (m, 7) are the poses of m objects.
+        `hand_joints` (51,) and `hand_keypoints` (16, 3) are None if there is no human hand.
         """
         poses = np.zeros((MAX_OBJECTS, 7), dtype=np.float32)
         poses[: len(object_poses)] = object_poses
@@ -192,39 +193,39 @@ class World(ABC):
 
     @abstractmethod
     def reset(self, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
-        """Load a scene, and set robot, objects and hand to their start positions.
+        """Load a scene, and set robot, objects and human hand to their start positions.
 
         Args:
             scene: Scene to load.
-            start: Reference motion of one row: joint positions of hand and objects at the start.
+            start: Reference motion of one step: the joint positions of human hand and objects at the start.
             robot_joints: Nine joint positions of the robot at the start (rad, m).
         """
 
     @abstractmethod
     def set_reference(self, motion: ReferenceMotion) -> None:
-        """Set the joint targets of hand and objects for the coming physics steps; row k of `motion` is for step k."""
+        """Set the joint targets of human hand and objects in the coming steps; row k of `motion` is for step k."""
 
     @abstractmethod
     def step(self, robot_target: list[float]) -> None:
-        """Simulate one physics step of 1 ms.
+        """Simulate the next physics step of 1 ms, for the next row of the motion that `set_reference` has set.
 
-        At most as many steps can be simulated as the reference motion has rows.
+        At most as many steps can be simulated as that motion has rows.
 
         Args:
             robot_target: Nine joint targets of the Panda (rad, m), float32 values.
         """
 
     def rollout(self, robot_target: list[float], steps: int, judge: JudgeFunction, rules: ProtocolConfig) -> int | None:
-        """Simulate up to `steps` physics steps in one call, if the engine can; else return None.
+        """Simulate up to `steps` physics steps in one call if the engine can, as MuJoCo can; else do nothing.
 
         Args:
             robot_target: Nine joint targets of the Panda (rad, m), float32 values.
             steps: Number of physics steps, at most the rows of the reference motion.
-            judge: Function that applies the rules of release and end to the contacts of this world; its index is 0.
-            rules: Bounds of the grasp region of the fingers.
+            judge: Function that applies the rules of release and end to contacts; its index for this world is 0.
+            rules: Rules of the protocol, of which only the grasp region of the fingers is used here.
 
         Returns:
-            Number of simulated steps, fewer than `steps` if the episode ends.
+            Number of simulated steps, fewer than `steps` if the episode ends; None if the engine has no such call.
         """
         return None
 
@@ -243,7 +244,7 @@ class World(ABC):
 
     @abstractmethod
     def read_state(self) -> WorldState:
-        """Return the current joints of robot and hand, and world poses of gripper and objects, float32."""
+        """Return the current state of robot, human hand and objects, float32."""
 
     @abstractmethod
     def read_joints_float64(self) -> npt.NDArray[np.float64]:
@@ -251,7 +252,7 @@ class World(ABC):
 
     @abstractmethod
     def read_joint_snapshot(self) -> JointSnapshot:
-        """Return the current joint positions of robot (9,), hand (51,; None if absent) and objects (n, 6), float32."""
+        """Return the current joint positions of robot (9,), human hand (51,) or None, and objects (n, 6), float32."""
 
     def render(self, camera: CameraConfig) -> npt.NDArray[np.uint8]:
         """Render the current world state as an RGB image (height, width, 3), uint8, with PyBullet's renderer."""
@@ -274,7 +275,7 @@ class World(ABC):
         self._scene = self._renderer = None
 
     def _get_scene_renderer(self) -> "SceneRenderer":
-        """Return the renderer of the current scene, with a physics client of its own; make it at the first image."""
+        """Return the renderer of the current scene, which has its own physics client; create it at the first image."""
         if self._scene is None:
             raise ResetNeededError("the world has no scene; call reset() first")
         if self._renderer is None or self._renderer.scene is not self._scene:

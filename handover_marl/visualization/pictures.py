@@ -45,12 +45,11 @@ _PALETTE = np.array([ImageColor.getrgb(LABEL_COLORS[label]) for label in Segment
 
 
 class FrameRecorder(EpisodeCallback):
-    """Callback that records frames of an episode after chosen physics steps, and at the end.
+    """Callback that records RGB images (frames) of an episode after chosen physics steps, and at the end.
 
     Args:
         steps: Physics steps, ascending, after which a frame is recorded.
-        draw: Function that returns a frame, a (height, width, 3) RGB image of the episode's
-            current state.
+        draw: Function that returns a frame of the episode's current state.
         progress: Whether to show a progress bar on stderr.
 
     Attributes:
@@ -64,7 +63,7 @@ class FrameRecorder(EpisodeCallback):
         self._bar = self._progress.add_task("drawing", total=max(len(self._steps), 1))
 
     def on_reset(self, episode: Episode) -> None:
-        """Record the initial state of an episode, if step 0 was chosen."""
+        """Show the progress bar, and record the initial state if step 0 was chosen."""
         self._progress.start()
         self.on_step(episode)
 
@@ -75,7 +74,7 @@ class FrameRecorder(EpisodeCallback):
             self._progress.advance(self._bar)
 
     def on_end(self, episode: Episode) -> None:
-        """Record the final state, and close the progress bar."""
+        """Record the final state unless its step was chosen, and close the progress bar."""
         if episode.steps not in self._steps:
             self.frames.append(self._draw(episode))
         self._progress.update(self._bar, completed=max(len(self._steps), 1))
@@ -83,7 +82,10 @@ class FrameRecorder(EpisodeCallback):
 
 
 def prepare_output_path(out: str | os.PathLike[str], suffixes: Sequence[str]) -> Path:
-    """Check suffix and packages of an output file, create its folder, check that it is writable; return its path."""
+    """Check an output file and create its folder; return the path of the file.
+
+    Another suffix or a missing package raises `OptionError`, a file that cannot be written `ResultsError`.
+    """
     path = check_path("out", out)
     suffix = path.suffix.lower()
     if suffix not in suffixes:
@@ -140,7 +142,7 @@ def encode_grid(frames: list[Picture], columns: int) -> bytes:
 
 
 def encode_video(frames: list[Picture], suffix: str) -> bytes:
-    """Encode frames, `FRAME_PERIOD_MS` apart, as a video; return the content of a file with `suffix` .gif or .mp4."""
+    """Return the content of a video file with the `suffix` .gif or .mp4; RGB frames are `FRAME_PERIOD_MS` apart."""
     if suffix == ".gif":
         stream = io.BytesIO()
         first, *rest = [Image.fromarray(frame).quantize(64) for frame in frames]
@@ -208,10 +210,10 @@ def draw_heat_map(
     title: str,
     axis_labels: tuple[str, str] = ("giver", "receiver"),
 ) -> bytes:
-    """Draw success rates (0 to 1) of pairs of policies, by row and column, as a heat map; return it as PNG.
+    """Draw success rates (0 to 1), one list for each row, as a heat map; return a PNG.
 
-    Long names of rows and columns are wrapped and cut off. `axis_labels` are the titles of the vertical axis (rows) and
-    of the horizontal axis (columns).
+    Names of `rows` and `columns` are wrapped and cut off if they are long. `axis_labels` are the titles of the vertical
+    axis (rows) and of the horizontal axis (columns).
     """
     from matplotlib.figure import Figure
 

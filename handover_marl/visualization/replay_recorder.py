@@ -33,14 +33,12 @@ class ReplayFrame:
     Attributes:
         step: Number of physics steps since the start.
         snapshot: Joint positions of the robot, the objects and the person's hand.
-        finger_points: Contact points of the left and of the right finger with the object, (n, 3)
-            each in the finger's frame (m).
+        finger_points: Contact points (n, 3) of left and right finger with the object, in the finger's frame (m).
         touches_object: Whether the robot has touched the object since the previous frame.
         touches_hand: Whether the robot has touched the person since the previous frame.
         object_offered: Whether the person has picked up the object and not released it.
         released: Whether the person has released the object.
-        planned_path: (k, 7) planned world poses of the robot's hand link, xyz (m) and quaternion
-            xyzw, or None if there is no plan.
+        planned_path: (k, 7) planned world poses of the hand link, xyz (m) and quaternion xyzw; None without a plan.
     """
 
     step: int
@@ -63,9 +61,9 @@ class ReplayRecorder(EpisodeCallback):
         scene: Scene of the last episode.
         config: World and rules of the episode.
         frames: States every `FRAME_STEPS` steps, and at the end.
-        clouds: Point clouds that the receiver observed: physics step, joint positions, and points (n, 3) of the object
-            and (m, 3) of the person's hand in the frame of the Panda's hand link (m).
-        status: Outcome of the episode.
+        clouds: Point clouds that the receiver observed, as tuples: physics step, joint positions, points (n, 3) of the
+            object and (m, 3) of the person's hand (m), both in the frame of the Panda's hand link.
+        status: Outcome of the episode; set at the end, like the release.
         release: Reason why the person released the object, or None.
         release_step: Physics step of the release, or None.
     """
@@ -89,7 +87,7 @@ class ReplayRecorder(EpisodeCallback):
         self._record_frame(episode)
 
     def on_decision(self, episode: Episode, decision: PolicyDecision) -> None:
-        """Record the point clouds of a receiver that uses the wrist camera, when a new action of it takes effect."""
+        """Record point clouds whenever a new action of a receiver that observes the wrist camera takes effect."""
         obs_mode = STATE if self._receiver is None else self._receiver.obs_mode
         if has_camera(obs_mode) and decision.receiver_decided and episode.has_wrist_camera:
             clouds = _observed_clouds(episode, obs_mode)
@@ -144,7 +142,7 @@ def describe_frame(log: ReplayRecorder, frame: ReplayFrame) -> str:
 
 
 def list_events(log: ReplayRecorder) -> list[tuple[float, str]]:
-    """Return the times (s) and descriptions of an episode's events, in order.
+    """Return pairs (time in s, description) of an episode's events, such as pick-up, contacts and release, in order.
 
     The times of the release and of the end are exact. Other events have the time of the next recorded frame.
     """
@@ -163,7 +161,7 @@ def list_events(log: ReplayRecorder) -> list[tuple[float, str]]:
 
 
 def _observed_clouds(episode: Episode, obs_mode: str) -> tuple[Points, Points]:
-    """Return the points (n, 3) of object and person's hand that the receiver sees now, in the hand link's frame (m)."""
+    """Return the observed points (n, 3) of object and person's hand, in the frame of the robot's hand link (m)."""
     if not parse_obs_mode(obs_mode) & {POINTCLOUD, SCENE_POINTCLOUD}:
         view = episode.capture_wrist_camera()
         return view.object_points, view.hand_points

@@ -76,9 +76,9 @@ def require_replay_extra() -> None:
 
 
 def build_replay_page(log: ReplayRecorder, facts: str, camera: CameraConfig = CameraConfig()) -> str:
-    """Return a self-contained HTML page that replays an episode and shows the text `facts` on data and policies.
+    """Return a self-contained HTML page that replays a recorded episode and shows the text `facts` below the outcome.
 
-    The first view is from `camera`.
+    The first view of the 3D scene is from `camera`.
     """
     info, steps = log.scene.info, log.frames[-1].step
     outcome = f"{log.status.label} after {steps * TIME_STEP:.2f} s" if log.status else "the recording alone"
@@ -96,7 +96,7 @@ def build_replay_page(log: ReplayRecorder, facts: str, camera: CameraConfig = Ca
 
 
 def _build_viser_page(log: ReplayRecorder, camera: CameraConfig) -> str:
-    """Return viser's HTML page with the animated episode, which needs no network."""
+    """Return viser's HTML page with the animated 3D scene of an episode; the page needs no network."""
     require_replay_extra()
     links = list(compute_link_trajectories(log))
     with _run_server() as server:
@@ -162,7 +162,7 @@ def _run_server() -> Iterator[Any]:
             server.stop()
 
 
-# Function of a frame's index and the frame that shows an element of the scene as it is at this frame.
+# Function that shows an element of the scene at one frame; its arguments are the index of the frame, and the frame.
 _Show: TypeAlias = Callable[[int, ReplayFrame], None]
 
 
@@ -230,7 +230,7 @@ def _add_planned_path(scene: "SceneApi") -> _Show:
 
 
 def _add_observed_points(scene: "SceneApi", log: ReplayRecorder) -> _Show:
-    """Add observed points of object and person's hand; return the function that shows the last ones before a frame."""
+    """Add observed points of object and person's hand; return the function that shows the latest ones at a frame."""
     steps = np.array([step for step, *_ in log.clouds])
     snapshots = [snapshot for _, snapshot, *_ in log.clouds]
     hands = compute_robot_link_poses(log, snapshots, (HAND_LINK,))[:, 0] if log.clouds else np.zeros((0, 7))

@@ -37,9 +37,9 @@ _NONE = -1
 class EncodedEpisodeBatch:
     """Batch of episodes of one configuration, with their rewards, partner, features and action schemes.
 
-    An episode runs as in a single environment with the wrappers `control_agent` and `encode`. The argument `rows` (r,)
-    of methods has the indices of the episodes to which a method applies. The attribute `arrays` makes all arrays:
-    NumPy arrays, or PyTorch tensors on the simulation's device.
+    An episode runs as in a single environment with the wrappers `control_agent` and `encode`. "Outputs" are the numbers
+    from which an action scheme computes actions. The argument `rows` (r,) of methods has indices of episodes. The
+    attribute `arrays` makes all arrays: NumPy arrays, or PyTorch tensors on the simulation's device.
 
     Args:
         template: Single environment of the configuration, with its wrappers; it is not simulated.
@@ -110,7 +110,7 @@ class EncodedEpisodeBatch:
         return self._terminated[rows] | self._truncated[rows]
 
     def find_rows_without_outputs(self, rows: AnyIndices) -> AnyIndices:
-        """Return those of `rows` whose running episode needs no outputs now; none with two agents or no scheme."""
+        """Return those `rows` whose running episode needs no outputs now; none with two agents or without a scheme."""
         if len(self._agents) > 1 or not self._schemes:
             return rows[:0]
         (agent,) = self._agents
@@ -118,7 +118,7 @@ class EncodedEpisodeBatch:
         return running[~self._schemes[agent].needs_outputs(running, self._select_observation(agent, running))]
 
     def set_outputs(self, rows: AnyIndices, outputs: ByAgent) -> None:
-        """Pass outputs (r, ...) by agent to the action schemes, in the episodes of `rows` that need them now."""
+        """Pass outputs (r, ...) by agent to the action schemes, in those of the episodes `rows` that need them now."""
         for agent, scheme in self._schemes.items():
             needs = scheme.needs_outputs(rows, self._select_observation(agent, rows))
             scheme.set_outputs(rows[needs], outputs[agent][needs])
@@ -126,7 +126,7 @@ class EncodedEpisodeBatch:
     def advance(self, rows: AnyIndices, actions: ByAgent) -> None:
         """Simulate one control period of the running episodes `rows` with actions (r, ...) by agent.
 
-        Actions of agents with an action scheme are not used.
+        For agents with an action scheme, the scheme computes the actions, and `actions` is ignored.
         """
         config, episodes, actions = self._base.config, self._episodes, dict(actions)
         for agent, scheme in self._schemes.items():
@@ -143,9 +143,9 @@ class EncodedEpisodeBatch:
         self._rewards.add(rows, actions, terminated, truncated)
 
     def _simulate(self, rows: AnyIndices, actions: ByAgent, steps: int) -> ByAgent:
-        """Simulate up to `steps` physics steps of episodes, in which the partner decides at its own control period.
+        """Simulate `steps` physics steps, or fewer where an episode ends; the partner has its own control period.
 
-        Returns the actions (r, ...) by agent at the start of the period, also the partner's; the giver's are clipped.
+        Returns the actions (r, ...) of both agents at the start of these steps, the giver's clipped to its bounds.
         """
         episodes, xp, (low, high) = self._episodes, self.arrays.xp, self._giver_limits
         agent = self._partner_agent

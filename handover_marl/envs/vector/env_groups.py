@@ -19,7 +19,7 @@ from handover_marl.geometry.arrays import NUMPY_ARRAYS, Indices
 
 
 class SequentialEnvGroup:
-    """Group of `count` environments that `make` makes one by one, each simulated on its own; see `EnvGroup`."""
+    """Group of `count` environments, each made by `make` and simulated one after another; see `EnvGroup`."""
 
     arrays = NUMPY_ARRAYS
 
@@ -76,7 +76,7 @@ def _stack_infos(infos: Sequence[ByAgent]) -> ByAgent:
 class ThreadedEnvGroup:
     """Environments in groups that are simulated at the same time, each in its own thread; see `EnvGroup`.
 
-    If the caller is interrupted, a group ends its call before it begins the next one.
+    If a call is interrupted, e.g. by Ctrl+C, each group finishes this call before the group begins the next one.
 
     Args:
         make: Function that makes the environments of a group, given their number.
@@ -132,9 +132,9 @@ class ThreadedEnvGroup:
 class ProcessEnvGroup:
     """Environments of one configuration in a process of their own; see `EnvGroup`.
 
-    Processes run side by side; threads do so only while MuJoCo simulates. The process starts at once; the first call
-    waits for it, and raises the errors of `make`. An interrupted call would leave its answer to the next one, so calls
-    come from the threads of a `ThreadedEnvGroup`, in which no signals are handled.
+    Processes run in parallel; threads do so only while MuJoCo simulates. The process starts at once; the first call
+    waits for it, and raises the errors of `make`. Calls must come from threads of a `ThreadedEnvGroup`, which handle no
+    signals: if a call were interrupted, the next call would receive its result.
 
     Args:
         make: Function that makes the environments, given their number; must be picklable by value.
@@ -200,7 +200,7 @@ class ProcessEnvGroup:
 
 
 def _run_worker(pipe: Connection, pickled: bytes) -> None:
-    """Make environments by a pickled pair (make, count); answer calls of their methods until the pipe yields None."""
+    """Make environments from a pickled pair (make, count); run method calls from the pipe until it yields None."""
     # The main process may close the pipe at any time, also while the environments are being made.
     with contextlib.suppress(KeyboardInterrupt, EOFError, OSError):
         try:

@@ -31,7 +31,8 @@ class EnvResult(NamedTuple):
         rewards: Rewards; zeros after a reset.
         terminated: Whether each episode has terminated.
         truncated: Whether each episode was truncated.
-        infos: Infos: dictionaries of arrays. A key that some environments lack has zeros there, and a mask `_KEY`.
+        infos: Infos: dictionaries of arrays. If some environments lack a key KEY, the array has zeros in their rows,
+            and the mask (r,) under `_KEY` is False there.
     """
 
     observations: ByAgent
@@ -57,7 +58,7 @@ def merge_results(count: int, row_results: Sequence[tuple[Indices, EnvResult]]) 
 
 
 def select_rows(values: Any, rows: Indices | int) -> Any:
-    """Return nested dictionaries and tuples of arrays with only some rows of each array; an int selects one row."""
+    """Return nested dictionaries and tuples of arrays with only some rows of each array; an int removes the axis."""
     return _select(values, rows if isinstance(rows, int) else move_to_device(rows, values))
 
 
@@ -99,7 +100,7 @@ def merge_values(count: int, row_values: Sequence[tuple[AnyArray, Any]]) -> Any:
 
 
 def _mark(infos: Mapping[str, AnyArray], every: Flags) -> dict[str, AnyArray]:
-    """Return infos (r, ...) with a mask for each key; that of keys without a mask is `every` (r,)."""
+    """Return infos (r, ...) with a mask under `_KEY` for each key KEY; `every` (r,) is the mask of keys without one."""
     return {f"_{key}": every for key in infos if not _is_mask(key, infos)} | dict(infos)
 
 
@@ -108,7 +109,7 @@ def _is_mask(key: str, infos: Mapping[str, AnyArray]) -> bool:
 
 
 def mask_infos(infos: Mapping[str, AnyArray], mask: Flags, arrays: ArrayFactory) -> dict[str, AnyArray]:
-    """Return infos (n, ...) in Gymnasium's form: KEY with zeros outside `mask` (n,), and `_KEY` with the mask."""
+    """Return infos (n, ...) in Gymnasium's form: KEY, zeros outside `mask` (n,), and `_KEY`, the rows that have KEY."""
     masked, xp, chosen, is_complete = {}, arrays.xp, arrays.asarray(mask), mask.all()
     for key in [key for key in infos if not _is_mask(key, infos)]:
         values, has_key = infos[key], chosen & infos.get(f"_{key}", True)
@@ -141,20 +142,20 @@ def _first_array(values: Any) -> AnyArray:
 class EnvGroup(Protocol):
     """Interface of environments that are simulated together; the attribute `arrays` creates their arrays.
 
-    The argument `rows` of methods is a NumPy array with the indices of environments.
+    The argument `rows` (r,) of methods is a NumPy array with the indices of environments.
     """
 
     arrays: ArrayFactory
 
     def reset(self, rows: Indices, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
-        """Start episodes in the environments `rows` (r,); return their result.
+        """Start an episode in each environment of `rows`; return the first observations and infos (r, ...).
 
-        A seed of None keeps the state of an environment's random generators; `options` are those of
-        `HandoverEnv.reset`.
+        `seeds` has r seeds; None keeps the state of an environment's random generators. `options` are those of
+        `HandoverEnv.reset`, for all r environments.
         """
 
     def step(self, rows: Indices, actions: ByAgent) -> EnvResult:
-        """Step the environments `rows` (r,); `actions` (r, ...) by agent have passed `check_action_array`."""
+        """Step the environments `rows` and return their result; actions (r, ...) have passed `check_action_array`."""
 
     def render(self) -> list[Any] | None:
         """Return the RGB image (height, width, 3) of each environment; None unless `render_mode` is "rgb_array"."""
@@ -166,9 +167,9 @@ class EnvGroup(Protocol):
 def check_action_array(
     actions: Any, space: spaces.Space[Any], count: int, agent: str, arrays: ArrayFactory = NUMPY_ARRAYS, idle: Any = ()
 ) -> AnyArray:
-    """Return an agent's actions (count, ...) as float32 in the form of `arrays`; raise ActionError if malformed.
+    """Return an agent's actions (count, ...) as a float32 array or tensor; raise ActionError if they are malformed.
 
-    The numbers in rows with the indices `idle` need not be finite.
+    `arrays` creates the result. Rows with the indices `idle` need not be finite: these environments ignore actions.
     """
     shape = (count, *(space.shape or ()))
     if is_tensor(actions) and arrays is not NUMPY_ARRAYS:

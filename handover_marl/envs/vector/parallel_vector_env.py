@@ -108,7 +108,7 @@ class ParallelVectorEnv:
         Raises:
             OptionError: The number of seeds or the shape of the mask is wrong, a seed is negative or not an integer,
                 `options` is not a mapping, or no environment is chosen.
-            ResetNeededError: The first reset leaves out environments, or they are closed or of another process.
+            ResetNeededError: The first reset leaves out environments, or they are closed, or made by another process.
             SimulationError: Another thread is using the environments.
         """
         if options is not None and not isinstance(options, Mapping):

@@ -55,12 +55,12 @@ class RewardSums:
         self.clear(rows)
 
     def make_infos(self, agent: str, rows: AnyIndices) -> dict[str, AnyArray]:
-        """Return the infos of an agent in the episodes `rows`: arrays (r,) of the reward terms by key."""
+        """Return the sums (r,) of an agent's reward terms since the last `clear`, by the key "reward/NAME" of infos."""
         sums = self._sums[agent][rows]
         return {f"{REWARD_PREFIX}{name}": sums[:, 1 + number] for number, name in enumerate(self._names[agent])}
 
     def clear(self, rows: AnyIndices) -> None:
-        """Set the sums `totals` of the episodes `rows` to 0."""
+        """Set the sums of rewards and terms in the episodes `rows` to 0."""
         for sums in self._sums.values():
             sums[rows] = 0.0
 

@@ -232,8 +232,8 @@ def _make_envs(
 ) -> EnvGroup:
     """Make `count` environments, which one thread simulates; `make_single` makes one of them.
 
-    With `prefetches`, next episodes may be simulated in advance, because `reset` gets no options after the end of an
-    episode. A template and a cache of scenes are made unless they are given.
+    `prefetches` is whether to simulate next episodes in advance; resets at the end of an episode then have no options.
+    `template` and `load_scene` are arguments of `BatchedEnvGroup`; if None, a template and a cache of scenes are made.
     """
     template = template or make_single()
     if _find_obstacle(template, backend.name):
@@ -246,7 +246,7 @@ def _cache_scenes(template: WrappableEnv) -> Callable[[int], Scene]:
 
 
 def _find_obstacle(template: WrappableEnv, backend: str) -> str:
-    """Return what environments must have, but lack, to be simulated together on arrays; "" if they lack nothing."""
+    """Return the first unmet condition for simulating environments together on arrays, as text; "" if all are met."""
     config, wrappers = template.unwrapped.config, list_wrappers(template)
     kinds = [type(env) for env in wrappers]
     choices = template.choices if isinstance(template, EncodedEnv) else {}

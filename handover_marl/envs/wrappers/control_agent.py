@@ -1,4 +1,4 @@
-"""Wrapper that leaves one agent to be controlled; a fixed policy acts for the other agent."""
+"""Wrapper in which one agent is controlled from outside; a fixed policy acts for the other agent."""
 
 from typing import Any
 
@@ -88,7 +88,7 @@ def control_agent(
     api: Api = "parallel",
     trust: bool = False,
 ) -> Any:
-    """Return an environment in which one agent is controlled; a fixed policy acts for the other.
+    """Return an environment in which one agent is controlled from outside; a fixed policy acts for the other agent.
 
     Args:
         env: `handover_marl.parallel_env(...)`, or a wrapper of it that has both agents. The partner

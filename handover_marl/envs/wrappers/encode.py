@@ -101,7 +101,7 @@ class EncodedEnv(ParallelWrapper):
         self._has_skipped = self._has_ended = False
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
-        """Return the space of the agent's feature vector; with the features "observation", that of its observation."""
+        """Return the space of the agent's features, or of the observation if its features are "observation"."""
         space: spaces.Space[Any] = self._feature_spaces.get(agent) or self.env.observation_space(agent)
         return space
 
@@ -114,7 +114,7 @@ class EncodedEnv(ParallelWrapper):
         return space
 
     def _compute_features(self) -> ByAgent:
-        """Return by agent the features (m,) of the last observation, or the observation itself without features."""
+        """Return the features (m,) of the last observation by agent, or a copy of the observation without features."""
         # Copies, since callers may write into their observations and action schemes read them again.
         copies = {agent: {key: own[key].copy() for key in own} for agent, own in self._observations.items()}
         return {
@@ -125,7 +125,7 @@ class EncodedEnv(ParallelWrapper):
     def reset(self, seed: int | None = None, options: ByAgent | None = None) -> tuple[ByAgent, ByAgent]:
         """Start an episode; with one agent, simulate it until its action scheme needs outputs.
 
-        Return features and infos by agent. Arguments are as in `HandoverEnv.reset`.
+        Returns features and infos by agent. Arguments are as in `HandoverEnv.reset`.
         """
         for attempt in range(MAX_EPISODES_WITHOUT_OUTPUTS):
             self._observations, infos = self.env.reset(seed=seed if attempt == 0 else None, options=options)
@@ -152,6 +152,7 @@ class EncodedEnv(ParallelWrapper):
             Feature vectors, undiscounted sums of the rewards, terminations, truncations and infos by agent.
 
         Raises:
+            ActionError: Outputs of an agent are missing or malformed.
             ResetNeededError: No episode is running.
         """
         if not (self.agents and self._observations):
@@ -199,7 +200,7 @@ class EncodedEnv(ParallelWrapper):
         return bool(self._schemes[agent].needs_outputs(ONLY_ROW, add_episode_axis(self._observations[agent]))[0])
 
     def _can_skip(self) -> bool:
-        """Return whether the next control period of the only agent's running episode needs no outputs."""
+        """Return whether there is only one agent, and its running episode needs no outputs for the next step."""
         is_running = len(self.possible_agents) == 1 and bool(self.agents) and not self._has_ended
         return is_running and not self._needs_outputs(self.agents[0])
 
@@ -245,7 +246,7 @@ def make_no_outputs_error(agent: str) -> OptionError:
 def _complete_choices(argument: str, defaults: dict[str, str], choices: Any, agents: list[str]) -> dict[str, Any]:
     """Return the features or schemes of each of `agents`; agents that `choices` leaves out get those of `defaults`.
 
-    `choices` is a dict by agent, or the choice of the only agent; `argument` is its name in errors.
+    `choices` is a dict by agent, or the choice for the only agent; error messages call it `argument`.
     """
     if not isinstance(choices, Mapping):
         if choices is not None and len(agents) != 1:
@@ -261,7 +262,7 @@ def _complete_choices(argument: str, defaults: dict[str, str], choices: Any, age
 
 
 def _check_state(obs_mode: str, features: Any, scheme: Any) -> None:
-    """Check that the receiver observes the state if its features or its scheme are computed from it.
+    """Raise OptionError if the receiver's features or scheme need the state, but `obs_mode` does not include it.
 
     User-defined features and user-defined schemes may use the data of cameras alone.
     """

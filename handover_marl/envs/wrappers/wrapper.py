@@ -15,7 +15,7 @@ from handover_marl.simulation.camera.optics import CameraInfo
 
 #: Prefix of the key of a reward term in infos.
 REWARD_PREFIX = "reward/"
-ByAgent = dict[str, Any]
+ByAgent = dict[str, Any]  # values by agent, "giver" and "receiver"
 Array = npt.NDArray[Any]
 #: The environment, or any PettingZoo wrapper of it.
 WrappableEnv: TypeAlias = HandoverEnv | BaseParallelWrapper
@@ -25,7 +25,7 @@ ParallelStep = tuple[ByAgent, dict[str, float], dict[str, bool], dict[str, bool]
 class ParallelWrapper(BaseParallelWrapper, EzPickle):  # type: ignore[misc]
     """Base class of wrappers of the parallel environment.
 
-    Subclasses override methods; other attributes and methods are those of the wrapped environment.
+    Subclasses override some methods; the wrapped environment provides all other attributes and methods.
 
     Args:
         env: A `HandoverEnv`, or any `pettingzoo.utils.BaseParallelWrapper` of one.

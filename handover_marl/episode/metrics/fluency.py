@@ -84,7 +84,7 @@ def _pose_arm(reach: Array) -> tuple[Array, Array]:
 
 
 def _score_upper_arm(upper: Array, outward: Array) -> npt.NDArray[np.int_]:
-    """Return the scores (n,) of upper arms with directions (n, 3): 1 to 4, and 1 more if abducted along `outward`."""
+    """Return RULA's scores (n,) of upper arms with directions (n, 3): 1 to 4, and 1 more if abducted `outward` (3,)."""
     angle = np.degrees(np.arccos(np.clip(upper @ _DOWN, -1.0, 1.0)))
     is_forward = upper @ _FORWARD >= 0.0
     scores = np.where(is_forward, 1 + np.digitize(angle, _FLEXIONS, right=True), 1 + (angle > _EXTENSION))
@@ -93,7 +93,7 @@ def _score_upper_arm(upper: Array, outward: Array) -> npt.NDArray[np.int_]:
 
 
 def _score_forearm(flexion: Array, lateral: Array) -> npt.NDArray[np.int_]:
-    """Return the scores (n,) of forearms: 1 or 2, and 1 more if the wrist is out to the side or past the midline.
+    """Return RULA's scores (n,) of forearms: 1 or 2, 1 more if the wrist is outside the shoulder or past the midline.
 
     Args:
         flexion: (n,) flexions of the elbow (deg).
@@ -220,10 +220,10 @@ def compute_fluency(trace: EpisodeTrace) -> FluencyMetrics:
 
 
 def has_early_grab(trace: EpisodeTrace) -> bool | None:
-    """Return whether the robot's fingers begin to close before the person offers the object.
+    """Return whether the robot's fingers begin to close before the person's last movement ends.
 
-    The person offers the object at the end of the last activity before the release, or before the episode's end if
-    there is no release. Returns None if, until the release or the end, the fingers do not close or the hand is still.
+    Only movements until the release count, or until the end of the episode without a release. Returns None if the
+    fingers do not close or the hand does not move until then.
     """
     n = trace.count_samples_until(trace.steps if trace.release_step is None else trace.release_step)
     person = compute_speeds(trace.wrist, trace.period) > ACTIVE_SPEED

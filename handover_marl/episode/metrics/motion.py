@@ -51,8 +51,8 @@ class EpisodeTrace:
         wrist: (n, 3) positions of the person's wrist (m), NaN if there is no hand.
         steps: Number of physics steps of the episode.
         release_step: Physics step in which the person released the object; None if there is no release.
-        forces: (n, 2) sums of the robot's normal forces on the object, and on the person's hand (N): the largest of the
-            physics steps since the previous sample. The last sample includes the steps after it.
+        forces: (n, 2) sums of the robot's normal forces on the object, and on the person's hand (N), each the largest
+            in the physics steps since the previous sample. The last sample includes the steps after it.
         min_distance: Smallest distance between robot and human hand (m), 0 after contact, None if there is no hand.
         max_hand_force: Largest sum of the normal forces between robot and human hand in one physics step (N); None
             without contact.
@@ -213,8 +213,8 @@ def compute_speeds(positions: Array, period: float) -> Array:
 def compute_rms_jerk(positions: Array, period: float) -> float | None:
     """Compute the root mean square of the jerk of a motion (m/s^3); None for fewer than 13 positions.
 
-    The jerk is the third derivative of a polynomial of fifth degree, such as a minimum-jerk motion,
-    fitted to 13 positions. The first and the last six positions have no such fit.
+    The jerk at a position is the third derivative of a polynomial of fifth degree (like a minimum-jerk motion) that is
+    fitted to 13 positions around it. The first and the last six positions are left out.
 
     Args:
         positions: (n, k) positions (m).
@@ -229,7 +229,7 @@ def compute_rms_jerk(positions: Array, period: float) -> float | None:
 
 @functools.cache
 def _compute_jerk_weights() -> Array:
-    """Compute weights (13,): the weighted sum of samples, one unit apart, is the third derivative in the middle."""
+    """Compute weights (13,); the weighted sum of 13 samples, one unit apart, is the third derivative in the middle."""
     offsets = np.arange(_JERK_SAMPLES) - _JERK_SAMPLES // 2
     weights: Array = 6.0 * np.linalg.pinv(np.vander(offsets, _JERK_DEGREE + 1, increasing=True))[3]
     return weights
@@ -238,9 +238,9 @@ def _compute_jerk_weights() -> Array:
 def compute_spectral_arc_length(speed: Array, rate: float) -> float | None:
     """Compute the spectral arc length (SPARC) of a speed profile, at most 0; values closer to 0 are smoother.
 
-    It is minus the arc length of the amplitude spectrum (Balasubramanian et al., 2015). The spectrum ends at 10 Hz and
-    is cut off before the first and after the last amplitude of at least 0.05 of the largest; amplitudes and the
-    remaining frequencies are normalized to 1. None if all speeds are zero.
+    It is minus the arc length of the amplitude spectrum (Balasubramanian et al., 2015), in the range from the first to
+    the last frequency up to 10 Hz whose amplitude is at least 5 % of the largest one. Amplitudes are divided by the
+    largest one, and frequencies by the width of this range. None if all speeds are zero.
 
     Args:
         speed: (n,) speeds at equal intervals.
@@ -297,7 +297,7 @@ def compute_protective_distances(person_speeds: Array, robot_speeds: Array) -> A
 
 
 def compute_sampled_distances(wrist: Array, gripper: Array, n_samples: int) -> Array:
-    """Compute the protective distances (n + 1,) in m at n samples and at the last step, which repeats the last sample.
+    """Compute the protective distances (n + 1,) in m at n samples and at the last step; the last two are equal.
 
     Args:
         wrist: (n + 1, 3) positions of the wrist at the samples and the last step (m), NaN if there is no hand.

@@ -47,18 +47,15 @@ _COMPONENTS = {
 
 
 def convert_to_minari(folder: str | os.PathLike[str], name: str) -> Path:
-    """Write demonstrations as a data set of Minari, which `minari.load_dataset(name)` loads.
+    """Write demonstrations as a data set for `minari.load_dataset(name)`; return the folder of the data set.
 
-    Minari stores it in the folder that the environment variable MINARI_DATASETS_PATH names. One step of the data set
-    is one row of the demonstrations. `infos` has the physics steps and the giver's actions in effect, and the metadata
-    of an episode has the keys of `Demonstration.metadata`.
+    The folder is created in the one that the environment variable MINARI_DATASETS_PATH names. A step of the data set is
+    a row of the demonstrations. `infos` has the physics steps and the giver's actions in effect, and the metadata of an
+    episode has the keys of `Demonstration.metadata`.
 
     Args:
         folder: Output folder of `demonstrate`.
         name: Name of the data set, such as "handover/reactive-v0".
-
-    Returns:
-        Folder of the data set.
 
     Raises:
         OptionError: Minari is not installed, or refuses the name, for instance because it exists.
@@ -100,17 +97,14 @@ def convert_to_minari(folder: str | os.PathLike[str], name: str) -> Path:
 
 
 def convert_to_lerobot(folder: str | os.PathLike[str], name: str) -> Path:
-    """Write demonstrations as a data set of LeRobot, which `LeRobotDataset(name)` loads.
+    """Write demonstrations as a data set for `LeRobotDataset(name)`; return the folder of the data set.
 
-    LeRobot stores it in the folder that the environment variable HF_LEROBOT_HOME names. The observation at the end of
-    an episode, which has no action, is left out. The file `meta/handover_marl.json` has the metadata of every episode.
+    The folder is created in the one that the environment variable HF_LEROBOT_HOME names. The observation at the end of
+    an episode, which has no action, is left out. `meta/handover_marl.json` has the metadata of every episode.
 
     Args:
         folder: Output folder of `demonstrate`, recorded with a frame rate (`fps`).
         name: Name of the data set, such as "me/handovers".
-
-    Returns:
-        Folder of the data set.
 
     Raises:
         OptionError: LeRobot is not installed or refuses the name, for instance because it exists; or the
@@ -145,13 +139,13 @@ def convert_to_lerobot(folder: str | os.PathLike[str], name: str) -> Path:
 
 
 def describe_task(object_name: str) -> str:
-    """Return the task in words for an object such as "003_cracker_box"; class names have a number in front."""
+    """Return the task in words, e.g. "Take the cracker box from the person's hand." for "003_cracker_box"."""
     name = re.sub(r"^[0-9]+_", "", object_name).replace("_", " ")
     return f"Take the {name} from the person's hand."
 
 
 def make_columns(demonstration: Demonstration) -> dict[str, npt.NDArray[Any]]:
-    """Return LeRobot's columns (T, ...) of an episode with T frames, by name; columns of single numbers are (T, 1)."""
+    """Return the columns (T, ...) of LeRobot's data set, by name, for an episode of T frames; scalars are (T, 1)."""
     observations = {key: values[:-1] for key, values in demonstration.observations.items()}
     columns = {
         _RENAMED.get(key, f"observation.{key}"): values

@@ -49,11 +49,12 @@ _ARRAYS = ("actions", "rewards", "terminations", "truncations", "steps", "giver_
 
 @dataclass(frozen=True, eq=False)
 class Demonstration:
-    """Recorded episode with T actions of the receiver and G decisions of the giver.
+    """Recorded episode with T rows (observations and actions of the receiver) and G decisions of the giver.
 
-    Rows are the receiver's decisions, or frames at a constant rate (`fps`). The receiver's i-th action holds from
-    physics step `steps[i]` on; if rows are decisions, until `steps[i + 1]`. The giver's j-th action holds from
-    `giver_steps[j]` until its next decision. Applied at these steps, decisions reproduce the episode bit for bit.
+    A row is a decision of the receiver (with inference time, the step at which a new action takes effect), or a frame
+    at a constant rate (`fps`). The i-th action is in effect from physics step `steps[i]` on; if rows are decisions,
+    until `steps[i + 1]`. The giver's j-th action is in effect from `giver_steps[j]` until the giver's next decision.
+    Decisions that are applied at these steps reproduce the episode bit for bit.
 
     Attributes:
         observations: Arrays (T + 1, ...) by key of `receiver_observation_space`, at every row and at the end.
@@ -82,7 +83,7 @@ class Demonstration:
     metadata: dict[str, Any]
 
     def __len__(self) -> int:
-        """Return the number T of the receiver's actions."""
+        """Return the number T of rows."""
         return len(self.actions)
 
     def hold_giver_actions(self) -> npt.NDArray[np.float32]:
@@ -104,14 +105,14 @@ def hold_actions(
 
 
 def describe_demonstration(result: EpisodeResult, config: EvaluationConfig) -> dict[str, Any]:
-    """Return the metadata of an episode of an evaluation (resolved configuration), see `Demonstration.metadata`."""
+    """Return an episode's metadata by key, see `Demonstration.metadata`; `config` is resolved (`resolve_config`)."""
     policies = {agent: require_policy_reference(getattr(config, agent)).label for agent in ("receiver", "giver")}
     values = {**vars(config), **describe_episode(result), **policies, "version": __version__}
     return {key: _UNKNOWN.get(key, "") if values[key] is None else values[key] for key in _METADATA_KEYS}
 
 
 def describe_camera(camera: CameraConfig) -> dict[str, Any]:
-    """Return the configuration of a camera as numbers and texts by key, with its matrices K and extrinsics as lists."""
+    """Return a camera's configuration as JSON types by key, with the matrices K and extrinsics of `CameraInfo`."""
     info = make_camera_info(camera)
     return {**asdict(camera), "K": info.K.tolist(), "extrinsics": info.extrinsics.tolist()}
 
@@ -131,7 +132,7 @@ def encode_demonstration(demonstration: Demonstration) -> bytes:
 
 
 def read_episode_metadata(path: Path) -> dict[str, Any]:
-    """Read the metadata of an episode from its `.npz` file."""
+    """Read the metadata of an episode by key from its `.npz` file, see `Demonstration.metadata`."""
     values = json.loads(read_arrays(path, (_METADATA,), _MAX_BYTES)[_METADATA].item())
     return {name: values[name] for name in _METADATA_KEYS}
 
@@ -176,7 +177,7 @@ class Demonstrations:
         self._paths = list(find_numbered(path.parent, ".npz").values())
 
     def camera_info(self) -> dict[str, CameraInfo]:
-        """Return size, intrinsics (3, 3) and pose (4, 4) of each recorded camera by name, see `CameraInfo`."""
+        """Return the calibration (image size, intrinsics, pose) of each recorded camera, by the camera's name."""
         return {camera.name: make_camera_info(camera) for camera in self._cameras}
 
     def __len__(self) -> int:
@@ -218,7 +219,7 @@ class Demonstrations:
             episodes: Indices of the episodes to read; default: all.
 
         Returns:
-            Observations (N, ...) by key and actions (N, 9) of N rows.
+            Observations (N, ...) by key, and actions (N, 9); N is the total number of rows (`Demonstration`).
 
         Raises:
             UnknownNameError: Unknown observation.
@@ -240,7 +241,7 @@ class Demonstrations:
         return {name: np.concatenate(arrays) for name, arrays in parts.items()}, np.concatenate(actions)
 
     def _read(self, number: int, names: Iterable[str]) -> Demonstration:
-        """Read an episode with some of its observations; see `__getitem__` for errors."""
+        """Read the episode at an index, with the observations `names`; errors are those of `__getitem__`."""
         path, keys = self._paths[number], {_OBSERVATION_PREFIX + name: name for name in names}
         with report_damage(path, *_KIND_AND_ADVICE):
             arrays = read_arrays(path, (*keys, *_ARRAYS), _MAX_BYTES)

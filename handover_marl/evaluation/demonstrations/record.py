@@ -66,11 +66,9 @@ def demonstrate(
         split: "train"; other splits are not allowed.
         receiver: The policy to record, as for `benchmark`.
         giver: The person's policy, as for `evaluate_pair`.
-        obs_mode: Recorded observation, independent of the receiver's own mode: "state", or camera
-            data such as "pointcloud" or "state+rgbd".
+        obs_mode: Observation mode of the recording, e.g. "state+rgbd"; independent of the receiver's own mode.
         keep: Episodes to record: "all", with their outcome, or only those that end in "success".
-        fps: Frames per second, 1 to 1000, to record a constant rate; default: every decision of the receiver,
-            for exact replay.
+        fps: Frames per second (1 to 1000) of the rows; default: one row for each decision of the receiver, for replay.
         options: Fields of `handover_marl.EvaluationConfig` and `handover_marl.ExecutionConfig`. The folder `out` gets
             the episodes, results and a report; an interrupted recording resumes there.
 
@@ -104,9 +102,10 @@ def demonstrate(
 
 
 class DemonstrationRecorder(EpisodeCallback):
-    """Recorder of actions, and of observations in mode `obs_mode`: at every decision, or with `fps` at a constant rate.
+    """Recorder of both agents' actions, and of the receiver's observations in the observation mode `obs_mode`.
 
-    A frame has the observation at the physics step nearest to its time, and the actions in effect from this step on.
+    Observations are recorded at every decision of the receiver, or with `fps` at a constant rate. A frame then has the
+    observation at the physics step nearest to the frame's time, and the actions in effect from this step on.
     """
 
     def __init__(self, config: EvaluationConfig, obs_mode: str, fps: int | None) -> None:
@@ -122,7 +121,7 @@ class DemonstrationRecorder(EpisodeCallback):
         self.on_step(episode)
 
     def on_decision(self, episode: Episode, decision: PolicyDecision) -> None:
-        """Record the actions of a decision, and the receiver's observation unless frames are recorded."""
+        """Record new actions, and without a frame rate the observation at a new action of the receiver."""
         if decision.receiver_decided:
             self._receiver.append((episode.steps, decision.receiver_action.copy()))
             if self._fps is None:
@@ -148,7 +147,7 @@ class DemonstrationRecorder(EpisodeCallback):
         self._steps.append(episode.steps)
 
     def build(self, result: EpisodeResult) -> Demonstration:
-        """Build the demonstration of the last episode, given its outcome."""
+        """Build the demonstration of the last episode, given the episode's result."""
         steps = np.array(self._steps, dtype=np.int64)
         is_last = np.arange(len(steps) - 1) == len(steps) - 2
         names = self._observations[0]

@@ -1,9 +1,8 @@
 """Published results of receivers, shown beside evaluations for comparison.
 
-Rows of HandoverSim (Chao et al., ICRA 2022) are from Table II of the paper. The row of
-handover-sim2real (Christen et al., CVPR 2023) is from the evaluation in the authors' repository, of
-the model in that repository; the paper reports a mean over training seeds. The wait before the
-approach differs between methods and is always reported: after a short wait the hand still moves.
+Rows of HandoverSim (Chao et al., ICRA 2022) are from Table II of the paper. The row of handover-sim2real (Christen et
+al., CVPR 2023) is what the authors' repository reports of its model; the paper reports a mean over training seeds. The
+robot's wait before the approach differs between methods and is always stated: after a short wait, the hand still moves.
 """
 
 from dataclasses import dataclass
@@ -17,8 +16,8 @@ from handover_marl.evaluation.metadata import OFFICIAL_WORLD, ResultMetadata
 class PublishedResult:
     """Published result of one method: rates (%), and times (s) on the authors' machine.
 
-    Times are means: simulated time to success (`time_exec`), wall-clock time in the policy, and their sum. `wait_s` is
-    the time that the robot waits before it approaches, and `source` a key of `SOURCES`.
+    Times are means: simulated time to success (`time_exec`), wall-clock time in the policy (`time_plan`), and their
+    sum. `wait_s` is the time that the robot waits before it approaches (s), and `source` a key of `SOURCES`.
     """
 
     method: str
@@ -75,7 +74,7 @@ PUBLISHED = {
 
 
 def find_published_results(metadata: ResultMetadata) -> tuple[PublishedResult, ...]:
-    """Return the published results that were measured with the scenes, giver, physics and rules of an evaluation."""
+    """Return published results comparable with an evaluation: of the same setup, split, data, giver, physics, rules."""
     identity = (metadata.split, metadata.dataset, metadata.giver, metadata.physics, metadata.world)
     is_official = identity == ("test", "dexycb", REPLAY, "exact", OFFICIAL_WORLD) and not metadata.inference_time
     return PUBLISHED.get(metadata.setup, ()) if is_official else ()

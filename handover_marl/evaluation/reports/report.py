@@ -92,7 +92,7 @@ class Report(TabularResult):
 
     @functools.cached_property
     def official_means(self) -> dict[str, Estimate]:
-        """`AS`: mean of 1 - exec / 13 s, 0 for failures; `exec_s`, `plan_s`, `total_s`: mean times of successes (s)."""
+        """Estimates by key: average success `AS` (0..1); mean times of successes `exec_s`, `plan_s`, `total_s` (s)."""
         times = [(each.steps * TIME_STEP, each.plan_s) for each in self.episodes if each.success]
         values = [[exec_s for exec_s, _ in times], [plan_s for _, plan_s in times], [sum(pair) for pair in times]]
         return {
@@ -104,8 +104,7 @@ class Report(TabularResult):
     def average_success(self) -> float:
         """Average success (AS): mean of 1 - t / 13 s for successes and 0 for failures (0..1).
 
-        Success and speed in one number, as reported by GenH2R (Wang et al., CVPR 2024); t is the
-        simulated time to success.
+        GenH2R (Wang et al., CVPR 2024) reports this score; t is the simulated time to success (s).
         """
         return self.official_means[AVERAGE_SUCCESS.key].mean or 0.0
 
@@ -116,7 +115,7 @@ class Report(TabularResult):
 
     @property
     def machine_label(self) -> str:
-        """Description of the machines on which the receiver's policy was timed."""
+        """Description of the machines on which the planning times `plan_s` were measured."""
         machines = sorted({episode.machine or "an unknown machine" for episode in self.episodes})
         return " and ".join(machines)
 
@@ -305,9 +304,9 @@ def write_report(folder: Path, report: Report) -> None:
 
 
 def _add_scene_info(path: Path, metadata: ResultMetadata, results: Iterable[EpisodeResult]) -> Iterator[EpisodeResult]:
-    """Yield the results; add scene, object and subject to those of HandoverSim if the index determines them.
+    """Yield the results; add scene number, object and subject to HandoverSim's results if the index determines them.
 
-    A result of another scene than its index determines raises `ResultsError`.
+    A result whose scene number contradicts its index in the split raises `ResultsError`.
     """
     # In s2 the index of a scene depends on the hand that gives; of other data, only the data set knows the scenes.
     if metadata.setup not in SETUPS or metadata.setup == "s2" or metadata.dataset not in _OFFICIAL_SCENES:
@@ -329,7 +328,7 @@ def _add_scene_info(path: Path, metadata: ResultMetadata, results: Iterable[Epis
 
 
 def render_report_page(report: Report, replays: Mapping[int, str] | None = None) -> str:
-    """Render a report as a self-contained web page (HTML), with relative links to replay pages by scene number."""
+    """Render a report as a self-contained HTML page with links to `replays`, URLs of replay pages by scene number."""
     links, metadata = dict(replays or {}), report.metadata
     official, objects, fluency = report.build_tables()
     settings = {key.replace("_", " "): value for key, value in asdict(metadata).items() if value}
@@ -361,7 +360,7 @@ def find_replay_links(results: Path, page_folder: Path) -> dict[int, str]:
 
 
 def _group_episodes(report: Report, flag: EpisodeStatus) -> dict[str, Any]:
-    """Return count, rate (%) and episodes with a status flag, for the page's template."""
+    """Return variables of the page's template for a status flag: count, rate (%) and the episodes with the flag."""
     rate = report.rates[flag.label]
     low, high = (100 * end for end in rate.interval_95 or (0.0, 1.0))
     return {

@@ -1,6 +1,6 @@
-"""Statistics with their 95 % intervals, and tables as Markdown, CSV or LaTeX, also of the episodes of an evaluation.
+"""Statistics with 95 % intervals, and tables of results as Markdown, CSV or LaTeX.
 
-A column has one key, in JSON and CSV; its title in tables follows from the key.
+A quantity has one key in JSON and CSV files; its title in tables follows from the key, see `Column.title`.
 """
 
 import csv
@@ -51,7 +51,7 @@ class Estimate:
     n: int
 
     def format_interval(self, spec: str = ".1f", scale: float = 100.0) -> str:
-        """Return the ends times `scale`, in the format `spec`, as text: "54.4 to 70.0"; "-" without an interval."""
+        """Return the interval as text, e.g. "54.4 to 70.0", its ends times `scale` in format `spec`; "-" if None."""
         return (
             NO_VALUE if self.interval_95 is None else " to ".join(f"{scale * end:{spec}}" for end in self.interval_95)
         )
@@ -61,8 +61,8 @@ class Estimate:
 
         Args:
             spec: Format specification of the value.
-            interval_spec: Format specification of the ends; default: `spec`.
-            scale: Factor of all three numbers.
+            interval_spec: Format specification of the interval's ends; default: `spec`.
+            scale: Factor by which value and ends are multiplied.
         """
         if self.mean is None:
             return NO_VALUE
@@ -123,7 +123,7 @@ def estimate_paired_difference(first: Sequence[bool], second: Sequence[bool]) ->
 
 @dataclass(frozen=True)
 class Column:
-    """Column of tables with a number in every row.
+    """Numeric column of tables.
 
     Attributes:
         key: Key in JSON and CSV.
@@ -309,7 +309,7 @@ def count_status(episodes: Iterable[EpisodeResult], status: EpisodeStatus) -> in
 
 
 def get_scene_header(episodes: Iterable[EpisodeResult]) -> tuple[str, ...]:
-    """Return the column titles of a table of episodes; with simulated inference time also those of its two metrics."""
+    """Return the column titles of a table of episodes; with inference time also "late s" and "early grab"."""
     return SCENE_HEADER + (_INFERENCE_HEADER if any(episode.late_s is not None for episode in episodes) else ())
 
 
@@ -340,9 +340,9 @@ def build_object_table(episodes: Sequence[EpisodeResult]) -> ReportTable:
 
 
 def estimate_fluency(episodes: Iterable[EpisodeResult]) -> dict[str, Estimate]:
-    """Estimate the mean of every fluency metric, by key; empty if no episode has fluency metrics.
+    """Estimate the mean of every metric in `FluencyMetrics`, by key; without keys if no episode has these metrics.
 
-    If inference took simulated time, the time that passed and the rate of early grabs are included.
+    With inference time, there are also the keys `late_s` (mean) and `early_grab` (rate), see `EpisodeResult`.
     """
     episodes = tuple(episodes)
     known = [episode.fluency for episode in episodes if episode.fluency is not None]
@@ -359,7 +359,7 @@ def estimate_fluency(episodes: Iterable[EpisodeResult]) -> dict[str, Estimate]:
 
 
 def build_fluency_table(means: Mapping[str, Estimate], title: str = "mean") -> ReportTable:
-    """Build the table of means by key, as `estimate_fluency` returns them; it has no rows if there are no means."""
+    """Build a table with a row for each of the estimates `means` (by key); `title` heads the column of their values."""
     rows: list[list[object]] = []
     for column in (column for column in (*FLUENCY, LATE, EARLY_GRAB) if column.key in means):
         found = means[column.key]

@@ -52,12 +52,11 @@ def strangers(
     """Evaluate a receiver, or a giver, with unseen partners from a population.
 
     Args:
-        receiver: Receiver to evaluate with givers, as for `benchmark`; or several trainings of one method.
-        giver: Giver to evaluate with receivers, in place of a receiver.
+        receiver: Receiver to evaluate with givers, as for `benchmark`; or a sequence of trainings of one method.
+        giver: Giver to evaluate with receivers, in place of a receiver; or a sequence of trainings.
         population: Name of a shipped population, or path of a file; see `handover_marl.policies.populations`.
-        partners: Families of the population to evaluate with: "train", "test" or "all".
-        n_scenes: Number of scenes, evenly spaced over the split; all scenes if it has fewer. Ignored if `scenes` is
-            given.
+        partners: Families (groups of similar partners) of the population to evaluate with: "train", "test" or "all".
+        n_scenes: Number of scenes, evenly spaced over the split, at most all; ignored if `scenes` is given.
         setup: Official setup, "s0" to "s3", or a setup of other data; default: the first of the dataset.
         split: Split of the scenes, "train", "val" or "test".
         options: Fields of `handover_marl.EvaluationConfig` and `handover_marl.ExecutionConfig`; the default of
@@ -65,9 +64,8 @@ def strangers(
             `strangers.md` and `strangers.json`; an interrupted evaluation resumes there.
 
     Raises:
-        OptionError: Not exactly one of receiver and giver is given, two trainings are the same, the world or the rules
-            are not the official ones, the population has no partners in the split, or the output folder holds another
-            evaluation.
+        OptionError: Not exactly one of receiver and giver is given, two trainings are the same, world or rules are not
+            official, there are no such partners, or the output folder belongs to another population or `partners`.
         HandoverError: The same errors as `crossplay` and `load_population`.
     """
     options = {"physics": FAST, **options, "setup": setup, "split": split}
@@ -114,7 +112,7 @@ class Leaderboard(TabularResult):
 
     @property
     def titles(self) -> list[str]:
-        """Titles of the reports in tables: name of the method and split of the scenes."""
+        """Titles of the reports in tables, such as "METHOD, test": name of the method and split of the scenes."""
         return [", ".join(key) for key in self.reports]
 
     @property
@@ -182,16 +180,14 @@ def make_leaderboard(
     Every value is computed from the result folders of the pairs.
 
     Args:
-        folders: Output folders of `strangers` with the same partners, data and simulation, and in each split the same
-            scenes.
+        folders: Output folders of `strangers` with equal partners, data and simulation, and the same scenes per split.
         population: Population of the evaluations: name of a shipped one, or path of a file.
         names: Name of the method of every folder; default: the labels of its policies.
         trust: Whether modules that the population names may be imported.
 
     Raises:
         OptionError: There is no folder, a method has two folders of a split, or the folders are of another population.
-        ResultsError: A folder is not a finished evaluation, or the evaluations differ in partners, scenes, data, seed
-            or simulation.
+        ResultsError: An evaluation is not finished, or differs in partners, scenes, data, seed or simulation.
     """
     if not folders or len(folders) != len(folders if names is None else names):
         given = f"{len(folders)} folders{'' if names is None else f' and {len(names)} names'}"

@@ -1,7 +1,7 @@
 """Report of an evaluation with unseen partners, its output folder, and 95 % intervals of scores by a jackknife.
 
-An output folder is one of `crossplay`; `strangers.json` has the population, the agent of the evaluated policies and the
-labels of the pairs.
+An output folder has the files of `crossplay` and, in `strangers.json`, the population, the agent of the evaluated
+policies and the labels of the pairs (giver, receiver).
 
 Arrays of scores have the axes policies (several trainings of one method), partners and scenes.
 
@@ -103,7 +103,7 @@ class StrangersReport(TabularResult):
 
     @property
     def families(self) -> dict[str, list[int]]:
-        """Indices in `partners` of the members of each family, by family."""
+        """Indices in `partners` of the members of each family, by the family's name."""
         names = self.partner_families
         return {family: [number for number, name in enumerate(names) if name == family] for family in names}
 
@@ -142,7 +142,7 @@ class StrangersReport(TabularResult):
         }
 
     def _estimate_means(self, indices: Sequence[int]) -> dict[str, Estimate]:
-        """Return estimates of success, contact and AS over the partners with some `indices`, by key."""
+        """Return estimates of success, contact and AS (0..1), by key, over the partners at the given `indices`."""
         families = [self.partners[number].family for number in indices]
         success = estimate_rate(np.mean, self.successes[:, indices], families)
         score = estimate_mean_score(self.scores[:, indices], families)
@@ -216,12 +216,12 @@ def describe_condition(report: Report) -> dict[str, object]:
 
 
 def list_differences(first: Mapping[str, object], second: Mapping[str, object]) -> list[str]:
-    """Return the names of the values in which two conditions differ."""
+    """Return the names of the values in which two conditions (`describe_condition`) differ."""
     return [name for name, value in first.items() if value != second[name]]
 
 
 def make_report(crossplay: CrossPlay, population: Population, split: str, agent: str) -> StrangersReport:
-    """Make the report of `agent`'s policies, given their cross-play with a population's partners of a split."""
+    """Make the report on the policies of `agent` from their cross-play with the partners in a population's `split`."""
     partners, is_giver = population.select(OTHER_AGENT[agent], split), agent == "giver"
     names, labels = crossplay.givers, crossplay.receivers
     if not is_giver:
@@ -314,9 +314,10 @@ def estimate_mean_score(scores: Array, families: Sequence[str] | None, minus: Ar
 
 
 def estimate_rate(statistic: Statistic, flags: Array, families: Sequence[str] | None) -> Estimate:
-    """Estimate a rate of outcomes (policies, partners, scenes), 0 or 1, with an interval as wide as Wilson's or wider.
+    """Estimate a `statistic` of the partners' rates, with a 95 % interval at least as wide as Wilson's.
 
-    Families are as in `estimate_mean_score`; None is for the rate with one of the partners, e.g. the worst.
+    `flags` (policies, partners, scenes) has 0 or 1 for each episode. `families` is as in `estimate_mean_score`; None is
+    for the rate with a single partner, e.g. `np.min` for the worst.
     """
     value, error, quantile = _apply_jackknife(
         lambda own: float(statistic(own.mean(axis=2).mean(axis=0))), [flags], families
@@ -331,7 +332,10 @@ def estimate_rate(statistic: Statistic, flags: Array, families: Sequence[str] | 
 def _apply_jackknife(
     compute: Callable[..., float], methods: list[Array], families: Sequence[str] | None
 ) -> tuple[float, float, float]:
-    """Return the value of `compute` for the methods' scores, its standard error, and Student's 97.5 % quantile."""
+    """Return `compute(*methods)`, its jackknife standard error, and the 97.5 % quantile of Student's distribution.
+
+    `methods` has the scores (policies, partners, scenes) of each method; `families` is as in `estimate_mean_score`.
+    """
     shape = methods[0].shape
     everywhere = range(len(methods))
     # For each variance: the arrays that change together, their axis, and the index sets that are left out in turn.

@@ -31,7 +31,7 @@ class VisualMesh:
     Attributes:
         link: Number of the link, -1 for the base.
         vertices: (v, 3) float32 vertices in the link's frame (m).
-        faces: (f, 3) int32 vertex numbers of triangles, counterclockwise seen from outside.
+        faces: (f, 3) int32 indices in `vertices` of the triangles' corners, counterclockwise seen from outside.
     """
 
     link: int
@@ -53,7 +53,7 @@ def select_extreme_points(points: Array, limit: int) -> Array:
 
 
 def find_farthest_points(points: Array, count: int, first: int = 0) -> list[int]:
-    """Return the indices of `count` points of (n, d), chosen by farthest point sampling that starts with `first`."""
+    """Return the indices of `count` points of (n, d) by farthest point sampling from the point with index `first`."""
     coordinates = np.ascontiguousarray(points.T)  # NumPy sums along a short last axis slowly.
     chosen, distances = [first], np.full(len(points), np.inf)
     while len(chosen) < count:
@@ -79,9 +79,9 @@ def compute_convex_hull(points: Array) -> tuple[Array, Faces]:
 def decompose_convex(vertices: Array, faces: Faces, concavity: float = 0.05) -> list[Array]:
     """Return the corners (n, 3) in m of each convex part of a mesh, by CoACD (Wei et al., SIGGRAPH 2022).
 
-    Needs CoACD (extra `import`). A part has at most 64 corners, as in HandoverSim's files; CoACD's own reduction of
-    corners cuts off millimeters. `concavity` is the largest concavity of a part, 0.01 (many parts) to 1; the default is
-    CoACD's.
+    Needs CoACD (extra `import`). Of a part with more than 64 corners, the limit in HandoverSim's files, the outermost
+    are kept; CoACD's own reduction of corners cuts off millimeters. `concavity` is CoACD's threshold: the largest
+    concavity of a part, 0.01 (many parts) to 1.
     """
     import coacd  # type: ignore[import-untyped]
 
@@ -100,9 +100,9 @@ def decompose_convex(vertices: Array, faces: Faces, concavity: float = 0.05) -> 
 
 @cached_by_file(256, read_model_mtimes)
 def check_collision_meshes(urdf: Path) -> None:
-    """Check that a URDF model has collision shapes, and that their meshes are finite and neither empty nor flat.
+    """Raise `DataFormatError` for a URDF model without collision shapes, or with an OBJ file that fails `check_mesh`.
 
-    Raises `DataFormatError` if not. An unchanged model is checked once. Of meshes, only OBJ files are checked.
+    An unchanged model is checked once. OBJ files of collision shapes must be solid; other mesh files are not checked.
     """
     shapes = read_urdf_shapes(urdf, read_tree(urdf), "collision")
     if not shapes:
@@ -112,7 +112,7 @@ def check_collision_meshes(urdf: Path) -> None:
 
 
 def check_model(urdf: Path, n_joints: int) -> None:
-    """Raise an error if links, shapes or meshes of a URDF model are invalid, or not exactly `n_joints` joints move."""
+    """Raise `SimulationError` or `DataFormatError` unless a URDF model is valid, with `n_joints` moving joints."""
     check_collision_meshes(urdf)
     tree = read_tree(urdf)
     read_urdf_links(urdf, tree)
@@ -143,9 +143,9 @@ def read_link_vertices(urdf: Path, purpose: str, names: list[str]) -> list[Array
 
 
 def read_collision_mesh(urdf: Path) -> tuple[Array, Faces]:
-    """Read a URDF model's collision shapes as one mesh: vertices (v, 3) in m, faces (f, 3).
+    """Read a URDF model's collision shapes as one mesh: vertices (v, 3) in m, faces (f, 3) of vertex indices.
 
-    Vertices are in the frame of the shapes' link, so the model should have shapes on one link only.
+    Each shape's vertices are in the frame of its link, so the model should have shapes on one link only.
     """
     shapes = read_urdf_shapes(urdf, read_tree(urdf), "collision")
     if not shapes:
@@ -154,7 +154,7 @@ def read_collision_mesh(urdf: Path) -> tuple[Array, Faces]:
 
 
 def read_visual_meshes(urdf: Path, tree: KinematicTree, without: Collection[str] = ()) -> list[VisualMesh]:
-    """Read the visual meshes of a URDF model, one for each link with visual shapes, except links named in `without`."""
+    """Read the visual meshes of a URDF model: one for each link with visual shapes that is not named in `without`."""
     meshes = []
     for link, shapes in group_visual_shapes(urdf, tree, without).items():
         vertices, faces = concatenate_meshes([read_shape_mesh(shape, urdf) for shape in shapes])
@@ -173,7 +173,7 @@ def group_visual_shapes(urdf: Path, tree: KinematicTree, without: Collection[str
 
 
 def concatenate_meshes(parts: Sequence[tuple[Array, Faces]]) -> tuple[Array, Faces]:
-    """Join several meshes into one; each mesh is a pair of vertices (v, 3) and faces (f, 3)."""
+    """Join several meshes into one; each mesh is a pair of vertices (v, 3) and faces (f, 3) of vertex indices."""
     firsts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
     return (
         np.concatenate([vertices for vertices, _ in parts]),

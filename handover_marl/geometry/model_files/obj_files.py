@@ -32,8 +32,8 @@ class ObjMesh:
 
     Attributes:
         vertices: (v, 3) vertices of all objects in the file (m).
-        groups: One (f, 3) array per object with the vertex numbers of its triangles; polygons are split into fans.
-        faces: (f, 3) vertex numbers of the triangles of all objects.
+        groups: One (f, 3) array per object (line `o` or `g`): indices in `vertices` of its triangles' corners.
+        faces: (f, 3) indices in `vertices` of the corners of all triangles; polygons are split into fans.
     """
 
     vertices: Array
@@ -45,7 +45,7 @@ class ObjMesh:
 def read_obj(path: Path) -> ObjMesh:
     """Read vertices and triangles of an OBJ mesh file.
 
-    Vertex numbers may count back from the last vertex before the face. Normals, texture coordinates, colors and
+    Negative vertex numbers count back from the last vertex before the face. Normals, texture coordinates, colors and
     curves are ignored. An invalid or empty file raises `DataFormatError`.
     """
     with report_damage(path, "OBJ file of triangles", "check the file"):
@@ -53,7 +53,10 @@ def read_obj(path: Path) -> ObjMesh:
 
 
 def split_obj_lines(content: bytes) -> Iterator[list[str]]:
-    """Return the words of each line of an OBJ file, without comments and empty lines; a backslash joins lines."""
+    """Return the words of each line of an OBJ file's content, without comments and empty lines.
+
+    A line that ends with a backslash continues in the next line.
+    """
     text = content.decode("utf-8-sig", errors="replace")
     if "\\" in text:
         text = _CONTINUATION.sub(" ", text)
@@ -121,7 +124,7 @@ def format_obj(vertices: Array, faces: Faces, first: int = 1) -> str:
 
 
 def format_convex_parts(parts: Iterable[tuple[Array, Faces]]) -> str:
-    """Return an OBJ text with one object for each convex mesh (vertices, faces), which PyBullet loads as one hull."""
+    """Return an OBJ text with an object for each convex mesh (vertices, faces); PyBullet loads each as one hull."""
     texts, first = [], 1
     for number, (vertices, faces) in enumerate(parts):
         texts.append(f"o convex_{number}\n{format_obj(vertices, faces, first)}")
@@ -130,10 +133,10 @@ def format_convex_parts(parts: Iterable[tuple[Array, Faces]]) -> str:
 
 
 def check_mesh(path: Path, solid: bool = False) -> None:
-    """Raise `DataFormatError` if not every engine can load a mesh file; only the content of OBJ files is checked.
+    """Raise `DataFormatError` for an OBJ file that a physics engine cannot load correctly; ignore other mesh files.
 
     PyBullet crashes on vertex numbers out of range, loads empty meshes without an error, and reads some forms of the
-    format wrong. The vertices of a `solid` mesh must not all be in one plane.
+    format wrong. With `solid`, the vertices must not all be in one plane, either.
     """
     if path.suffix.lower() != ".obj":
         return

@@ -32,8 +32,8 @@ class Surface:
     """Colors of the triangles of one `VisualMesh`, in the same order.
 
     Attributes:
-        corners: (f, 3, 2) float32 texture coordinates of the triangles' corners: right and up, in units of the
-            texture's size; textures repeat.
+        corners: (f, 3, 2) float32 texture coordinates of the triangles' corners: right and up, in units of the size of
+            the texture, which repeats beyond 0 to 1.
         textures: (f, 3) int32 texture of each triangle: index of its first texel in `texels`, width and height.
         texels: (t, 3) uint8 red, green and blue of all textures, each row by row from the bottom.
     """
@@ -43,7 +43,7 @@ class Surface:
     texels: Texture
 
     def sample(self, faces: npt.NDArray[np.integer], weights: Array) -> Texture:
-        """Return colors (n, 3) of a point on each triangle `faces` (n,), from weights (n, 2) of its corners 2 and 3."""
+        """Return colors (n, 3) at points on triangles `faces` (n,) with barycentric weights (n, 2): corners 2 and 3."""
         # `take` is several times as fast as indexing of rows.
         first, width, height = self.textures.take(faces, axis=0).T
         if self._is_plain:
@@ -68,7 +68,7 @@ class Surface:
 
 
 def read_surfaces(urdf: Path, tree: KinematicTree, without: Collection[str] = ()) -> list[Surface]:
-    """Read the colors of the meshes that `read_visual_meshes` returns for the same arguments."""
+    """Read the colors of the meshes that `read_visual_meshes` returns for the same arguments, in the same order."""
     return [_read_surface(urdf, shapes) for shapes in group_visual_shapes(urdf, tree, without).values()]
 
 
@@ -90,10 +90,7 @@ def _read_surface(urdf: Path, shapes: list[UrdfShape]) -> Surface:
 
 
 def _read_obj_texture(path: Path) -> tuple[Array | None, Texture]:
-    """Return the texture coordinates (f, 3, 2) of the triangles of an OBJ file, and its texture (h, w, 3).
-
-    Without a texture, the coordinates are None and the texture is a white pixel.
-    """
+    """Return texture coordinates (f, 3, 2) and texture (h, w, 3) of an OBJ file; without any, None and white."""
     with report_damage(path, "OBJ file with a texture", "check the file"):
         content = read_plain_file(path)
         lines = list(split_obj_lines(content)) if b"mtllib" in content else []
@@ -119,7 +116,7 @@ def _read_obj_texture(path: Path) -> tuple[Array | None, Texture]:
 
 
 def _load_first_texture(folder: Path, lines: list[list[str]]) -> Texture | None:
-    """Return the first texture (h, w, 3) that the materials of an OBJ file's objects name, or None."""
+    """Return the texture (h, w, 3) of the first object that has one in the lines of words of an OBJ file, or None."""
     textures: dict[str, str] = {}
     current, has_faces = "", False
     for words in [*lines, ["o"]]:

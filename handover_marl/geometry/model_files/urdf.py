@@ -29,9 +29,9 @@ class UrdfLink:
     Attributes:
         mass: Mass in kg.
         center: Center of mass (x, y, z) in the link's frame (m).
-        friction: Lateral friction; Bullet multiplies the values of two touching links. Default: Bullet's.
+        friction: Coefficient of lateral friction; Bullet multiplies the values of two touching links.
         spinning_friction: Torsional friction: torque about the contact normal per newton of normal force (m).
-        limits: Lower and upper limit of the joint that carries the link (rad, m); None for a joint without limits.
+        limits: Lower and upper limit of the joint between the link and its parent link (rad, m); None without limits.
     """
 
     mass: float = 0.0
@@ -51,7 +51,7 @@ class UrdfShape:
         size: Scale of a mesh along its axes, side lengths of a box (m), or radius of a sphere (m).
         mesh: File of a mesh, else None.
         link_from_shape: (7,) pose of the shape in the link's frame, xyz (m) and quaternion xyzw.
-        color: Red, green, blue and opacity, 0 to 1.
+        color: Red, green, blue and opacity, 0 to 1, of the URDF material; white without one.
     """
 
     link: int
@@ -113,7 +113,7 @@ def read_model_mtimes(urdf: Path) -> tuple[int, ...]:
 
 @cached_by_file(maxsize=256)
 def _list_meshes(urdf: Path) -> tuple[str, ...]:
-    """Return the distinct mesh paths of a URDF file as text: it is faster than `Path`s to read modification times."""
+    """Return the distinct mesh paths of a URDF file as strings, with which `read_mtime` is faster than with `Path`."""
     return tuple(dict.fromkeys(str(mesh) for _, mesh in list_mesh_references(urdf)))
 
 

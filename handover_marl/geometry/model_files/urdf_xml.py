@@ -7,7 +7,7 @@ from pathlib import Path
 
 from handover_marl.execution.reading import read_plain_file
 
-#: Largest accepted size of a URDF file (bytes); that of a human hand has 50 kB.
+#: Largest accepted size of a URDF file (bytes); the file of a human hand has 50 kB.
 MAX_URDF_BYTES = 10_000_000
 # Ranges of lengths, of any quantity, and of quantities that are not negative.
 _LENGTH, _ANY, _POSITIVE = (1e-6, 1000.0), (-1e9, 1e9), (0.0, 1e9)
@@ -27,8 +27,8 @@ _NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
 def parse_urdf(urdf: Path) -> ET.Element:
     """Parse a URDF file, check its numbers, and return its root element.
 
-    Raises `ValueError` for text that is not XML, and for numbers that are not finite or make no sense, such as a
-    negative mass. Engines load such numbers without an error.
+    Raises `ValueError` for text that is not XML, and for numbers that are not finite or out of range (`URDF_RANGES`),
+    such as a negative mass. Physics engines load such numbers without an error.
     """
     content = read_plain_file(urdf, MAX_URDF_BYTES)
     try:

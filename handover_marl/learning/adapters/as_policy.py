@@ -44,7 +44,7 @@ def as_receiver(
     name: str | None = None,
     trust: bool = False,
 ) -> PolicyReference:
-    """Return a receiver that runs a function, a network or a file; pass it wherever a receiver can be passed.
+    """Return a receiver that runs a function, a network or a policy file; pass it wherever a receiver can be passed.
 
     | `policy` | inputs by default | notes |
     |---|---|---|
@@ -63,7 +63,7 @@ def as_receiver(
         features: Features that are the inputs, as in `handover_marl.encode`; "observation" for the observation itself.
         action_scheme: Action scheme that decodes the outputs, as in `handover_marl.encode`.
         name: Name in tables and result folders; default: the name of the function, class or file and a hash.
-        trust: Whether modules that a file names may be imported.
+        trust: Whether modules that a policy file names (features, action scheme) may be imported, which runs code.
 
     Raises:
         OptionError: The policy does not fit the features or the action scheme, cannot be sent to worker
@@ -71,7 +71,7 @@ def as_receiver(
         UnknownNameError: There are no such features, no such action scheme or observation mode.
         DataNotFoundError: A file does not exist.
         DataFormatError: A file is damaged, or its policy is for the other agent or other spaces.
-        UnsafeFileError: A file names a module, and is not trusted.
+        UnsafeFileError: A policy file names a module, and `trust` is False.
     """
     parse_obs_mode(obs_mode)
     overrides = {"features": features, "actions": action_scheme, "control_period": control_period}
@@ -87,10 +87,10 @@ def as_giver(
     name: str | None = None,
     trust: bool = False,
 ) -> PolicyReference:
-    """Return a giver that runs a function, a network or a file; pass it wherever a giver can be passed.
+    """Return a giver that runs a function, a network or a policy file; pass it wherever a giver can be passed.
 
     By default the outputs are a giver's action (8,), see `handover_marl.givers.make_giver_action`. Arguments and
-    errors are those of `as_receiver`.
+    errors are the same as for `as_receiver`.
     """
     overrides = {"features": features, "actions": action_scheme, "control_period": control_period}
     return _adapt("giver", policy, overrides, STATE, name, trust)
@@ -130,9 +130,9 @@ def _adapt(
 def _read_model(
     agent: str, policy: Any, overrides: dict[str, Any], has_only_state: bool, trust: bool
 ) -> tuple[str, Callable[[Any], Any], PolicySpec]:
-    """Return the default name, the function and the encoding of a model.
+    """Return the default name of a model, its function from inputs to outputs, and the encoding of these.
 
-    `overrides` are the fields of `PolicySpec` that the caller chose. If observations have no camera data
+    `overrides` has the fields of `PolicySpec` that the caller chose. If observations have no camera data
     (`has_only_state`), a PyTorch module gets flat vectors by default, else dicts.
     """
     if isinstance(policy, (str, os.PathLike)):

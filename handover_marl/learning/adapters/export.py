@@ -26,12 +26,14 @@ def export_policy(
 ) -> Path:
     """Write a trained network to a policy file (.npz), which `learned:FILE` loads without PyTorch.
 
-    A file contains weights and the encoding, and no code. Before it is written, the network is compared with
-    the model on pseudo-random inputs.
+    A file contains the weights and the encoding of inputs and outputs, but no code. Before it is written, the network
+    in the file is compared with the model on pseudo-random inputs. A model of Stable-Baselines3 that was trained in
+    this library's environments has recorded agent, features, action scheme and control period. For a PyTorch module,
+    the first three must be passed.
 
     Args:
         model: Model of Stable-Baselines3 (PPO, A2C, SAC, TD3, DDPG) with dense layers; or PyTorch module of
-            linear layers with one activation between them.
+            linear layers with the same activation between all of them.
         path: File to write; its suffix is .npz.
         agent: Agent that the policy controls, "giver" or "receiver"; default: as in training.
         features: Name of the features that are the inputs, or `module:name`; default: as in training.
@@ -40,9 +42,6 @@ def export_policy(
         normalization: Normalization of the inputs: an `InputNormalization` or, for a model of Stable-Baselines3, a
             `VecNormalize`; default: the normalization in the model's environment, or none.
         origin: Description of the training, for human readers.
-
-    Models of Stable-Baselines3 record agent, features, action scheme and control period. For a PyTorch
-    module the first three must be passed.
 
     Returns:
         Path of the file.

@@ -28,7 +28,7 @@ _MEANING = "inputs of its action scheme"
 
 
 class FunctionPolicy(ArrayPolicy):
-    """Policy that encodes observations, evaluates a function or a network, and decodes its outputs.
+    """Policy that computes features of observations, evaluates a function or network, and decodes the outputs.
 
     Args:
         context: Robot, task and known grasps of the objects.
@@ -36,16 +36,16 @@ class FunctionPolicy(ArrayPolicy):
         spec: Agent, and encoding of inputs and outputs.
         name: Name of the policy in tables and errors.
         label: Unique label of the policy in result files.
-        digest: Hash of function, weights and encoding, which starts `weights_hash`.
+        digest: Hash of function, weights and encoding, the first part of `weights_hash`.
         wait: Time for which the robot stays at its waiting pose at the start of an episode (s);
-            default: that of the action scheme. Only action schemes that wait have this option.
+            default: as in the action scheme. An action scheme without a wait raises OptionError.
 
     Attributes:
         function: Function from inputs to outputs.
         scheme: Action scheme that decodes the outputs.
         spec: Agent, and encoding of inputs and outputs.
         label: Unique label of the policy in result files.
-        weights_hash: `digest`, and a hash of the code of features and action scheme that `spec` names as `module:name`.
+        weights_hash: `digest`, then a hash of features and action scheme if `spec` names them as `module:name`.
     """
 
     label, weights_hash = "", ""
@@ -105,15 +105,15 @@ class FunctionPolicy(ArrayPolicy):
 
     @property
     def is_batchable(self) -> bool:
-        """Whether `copy_for` works: for dense networks with built-in features and action scheme."""
+        """Whether `copy_for` works: only for a `DenseNetwork` with built-in features and a built-in action scheme."""
         is_own = self.spec.features not in list_features(self.spec.agent) or isinstance(self.scheme, CustomScheme)
         return isinstance(self.function, DenseNetwork) and not is_own and super().is_batchable
 
     def copy_for(self, count: int, arrays: ArrayFactory) -> "FunctionPolicy":
-        """Return a policy with the same network for `count` episodes, see `ArrayPolicy`.
+        """Return a policy with the same network that acts in `count` episodes at once, see `ArrayPolicy`.
 
-        Actions do not depend on the other episodes of the batch. They equal the actions of single policies: to the bit
-        for NumPy arrays, and to 1e-5 for PyTorch tensors.
+        Actions in an episode do not depend on the others. They equal those of a policy of one episode: to the bit for
+        NumPy arrays, and to 1e-5 for PyTorch tensors.
         """
         policy = copy.copy(self)
         assert isinstance(self.function, DenseNetwork)
@@ -122,14 +122,14 @@ class FunctionPolicy(ArrayPolicy):
         return policy
 
     def start(self, row: int, seed: int | None) -> None:
-        """Start the episode with index `row`, and reset the function by `reset_function`."""
+        """Start the episode with index `row`: reset action scheme, features, and, by `reset_function`, the function."""
         self.scheme.reset(row)
         if self._features is not None:
             self._features.reset(row)
         reset_function(self.function, seed)
 
     def decide(self, rows: AnyIndices, observation: Observation) -> AnyArray:
-        """Return actions (r, 8) or (r, 9) of the episodes with indices `rows`; evaluate the function where needed."""
+        """Return actions (r, 8) or (r, 9) in the episodes `rows`; evaluate the function where the scheme needs it."""
         needs = self._arrays.xp.nonzero(self.scheme.needs_outputs(rows, observation))[0]
         if len(needs):
             some = {key: values[needs] for key, values in observation.items()}
@@ -152,7 +152,7 @@ class FunctionPolicy(ArrayPolicy):
         return outputs
 
     def _check_module(self, function: "TorchFunction", n_inputs: int) -> None:
-        """Evaluate a copy of a module on `n_inputs` zeros; raise OptionError if it fails or has a wrong output size."""
+        """Evaluate a copy of a module on `n_inputs` zeros; raise OptionError for exceptions and wrong output sizes."""
         try:
             outputs = copy.deepcopy(function)(np.zeros(n_inputs, dtype=np.float32))
             found = f"{outputs.size} outputs" if isinstance(outputs, np.ndarray) else ""
@@ -166,13 +166,13 @@ class FunctionPolicy(ArrayPolicy):
 
 
 class TorchFunction:
-    """Function that evaluates a PyTorch module for one decision, with one thread and without gradients.
+    """Callable that evaluates a PyTorch module for one decision, with one thread and without gradients.
 
     Random numbers that the module draws come from the seed of the episode; PyTorch's global generator is not changed.
 
     Args:
-        module: Module on the CPU in evaluation mode, from (1, n) inputs, or from a dict of observations, to
-            (1, m) outputs.
+        module: Module on the CPU in evaluation mode, from inputs (1, n), or from an observation, a dict of tensors
+            (1, ...), to outputs (1, m).
 
     Attributes:
         module: The module, as passed.
@@ -194,7 +194,7 @@ class TorchFunction:
         reset_function(self.module, seed)
 
     def __call__(self, inputs: Any) -> Any:
-        """Return the module's outputs (m,) for a vector (n,) or a dict of arrays; keep a result that is no tensor."""
+        """Return the outputs (m,) in NumPy for a vector (n,) or a dict of arrays; keep a result that is no tensor."""
         import torch
 
         from handover_marl.learning.networks.weights import single_threaded_inference
@@ -220,9 +220,10 @@ class TorchFunction:
 
 
 def reset_function(function: object, seed: int | None) -> None:
-    """Call a function's own method `reset`, if it has one, with the seed if the method has an argument for it.
+    """Call the method `reset` of a callable object, if it has one, with the seed if the method has an argument for it.
 
-    Without the parameter `seed`, the method of a PyTorch module is not called, since it may reset the parameters.
+    The argument is named `seed`, or is the only required one. A PyTorch module's method without the argument `seed` is
+    not called, since it may reset the weights. Two or more required arguments raise OptionError.
     """
     reset = getattr(function, "reset", None)
     parameters = inspect.signature(reset).parameters if callable(reset) else {}
@@ -247,7 +248,7 @@ class LearnedPolicy(FunctionPolicy):
         trust: Whether modules that the file names may be imported.
         control_period: Time between two decisions (s); default, and only valid value: that in the file.
         wait: Time for which the robot stays at its waiting pose at the start of an episode (s);
-            default: as in training. Only action schemes that wait have this option.
+            default: as in the action scheme. An action scheme without a wait raises OptionError.
     """
 
     name = "learned"

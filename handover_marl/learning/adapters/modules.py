@@ -19,9 +19,9 @@ _TOLERANCE = 1e-4
 def dense_network_from_layers(
     module: Any, activation: str, output: str = "identity", n_outputs: int | None = None
 ) -> DenseNetwork:
-    """Return a `DenseNetwork` of a PyTorch module's linear layers, in the order of registration.
+    """Return a `DenseNetwork` with the linear layers of a PyTorch module, in the order of registration.
 
-    The module is not called, so that it may have any inputs and outputs; the network is not compared with it.
+    The module is not evaluated, so that it may have any inputs and outputs; nothing checks that the outputs are equal.
 
     Args:
         module: Module with linear layers.
@@ -48,11 +48,13 @@ def _array(tensor: Any) -> Array:
 def dense_network_from_module(module: Any) -> DenseNetwork:
     """Convert a PyTorch module of linear layers, in the order of registration, to a `DenseNetwork`.
 
-    The activations, one between the layers and one after the last, are found by comparison on pseudo-random inputs.
-    Raises DataFormatError if no activations give the module's outputs, or if the module fails.
+    The activation between all layers and the one after the last are found by comparison on pseudo-random inputs.
 
     Args:
         module: Module from (n, n_inputs) to (n, n_outputs).
+
+    Raises:
+        DataFormatError: No activations give the module's outputs, or the module fails.
     """
     bare = dense_network_from_layers(module, "identity")
     inputs = draw_inputs(bare.n_inputs)
@@ -69,12 +71,12 @@ def dense_network_from_module(module: Any) -> DenseNetwork:
 
 
 def draw_inputs(count: int) -> Array:
-    """Draw 8 random inputs (8, `count`), always the same, on which a converted network is compared with its module."""
+    """Draw 8 input vectors (8, `count`) by a fixed seed, on which a converted network is compared with its source."""
     return (2.0 * np.random.default_rng(0).standard_normal((8, count))).astype(np.float32)
 
 
 def is_close(network: DenseNetwork, inputs: Array, expected: Array) -> bool:
-    """Return whether a network maps inputs (n, n_inputs) to the expected outputs (n, n_outputs), up to rounding."""
+    """Return whether a network maps inputs (n, n_inputs) to the expected outputs (n, n_outputs), within 1e-4."""
     found = network(inputs)
     return found.shape == expected.shape and np.allclose(found, expected, rtol=_TOLERANCE, atol=_TOLERANCE)
 

@@ -26,13 +26,15 @@ _SPACES = {"giver": giver_action_space, "receiver": receiver_action_space}
 def dense_network_from_sb3(
     model: BaseAlgorithm, normalization: VecNormalize | InputNormalization | None = None
 ) -> DenseNetwork:
-    """Convert the deterministic policy of a model to a `DenseNetwork` with normalized inputs and bounded outputs.
-
-    The outputs of model and network are compared on pseudo-random inputs; a difference raises DataFormatError.
+    """Convert the deterministic policy of a model to a `DenseNetwork`, with normalization and bounds.
 
     Args:
         model: Model of PPO, A2C, SAC, TD3 or DDPG with dense layers only.
         normalization: Normalization of the observations; default: as in the model's environment.
+
+    Raises:
+        DataFormatError: The model has other layers, or its outputs differ from the network's on pseudo-random inputs.
+        OptionError: Actions are no vector, or the environment normalizes by Gymnasium's `NormalizeObservation`.
     """
     where, space, env, is_normalized = type(model).__name__, model.action_space, model.get_env(), False
     with contextlib.suppress(OSError, EOFError):  # closed environments in processes
@@ -78,10 +80,11 @@ def _get_actor(model: BaseAlgorithm) -> tuple[nn.Module, bool]:
 
 
 def get_recorded_encoding(model: BaseAlgorithm) -> dict[str, Any]:
-    """Return the fields of `PolicySpec` that a model records, by name.
+    """Return the fields of `PolicySpec` that a model has recorded, by name.
 
-    Environments of this library store their encoding and control period in their action space, which a model keeps. For
-    a plain action space of giver or receiver, the fields are the agent and `RAW_ENCODINGS`; otherwise there are none.
+    Environments of this library store their encoding and control period in their action space, which a model keeps. A
+    space without an encoding, but with the bounds of a giver's or receiver's actions, gives the agent and its
+    `RAW_ENCODINGS`. Other spaces give no encoding.
     """
     space: Any = model.action_space
     recorded = dict(getattr(space, "encoding", {}))
@@ -96,7 +99,7 @@ def get_recorded_encoding(model: BaseAlgorithm) -> dict[str, Any]:
 
 
 def find_input_normalization(env: VecNormalize) -> InputNormalization | None:
-    """Return the normalization of observations by a `VecNormalize`; None if it normalizes rewards only."""
+    """Return the normalization of flattened observations by a `VecNormalize`; None if it normalizes rewards only."""
     if not env.norm_obs:
         return None
     space = env.observation_space

@@ -1,8 +1,8 @@
 """Training of networks by imitation: samples in files, optimizer, averaged weights, and choice of the best network.
 
-The samples of a training are a named tuple of arrays (n, ...), generated in parallel processes. A file has the samples
-of one key, such as a scene. The content does not depend on the number of processes, so that an interrupted generation
-can be resumed.
+Samples are a named tuple of arrays (n, ...), generated in parallel processes. A file has the samples of one key, a
+number such as that of a scene. Files do not depend on the number of processes, and an interrupted generation can be
+resumed.
 """
 
 import math
@@ -51,11 +51,11 @@ def generate_samples(
     description: str,
     workers: int | None,
 ) -> list[Samples]:
-    """Return the samples of each key, in the order of `keys`; generate samples that have no file yet.
+    """Return the samples of each key, in the order of `keys`; first generate, and write, those that have no file.
 
     Args:
         kind: Class of the samples, a named tuple of arrays.
-        folder: Folder of the files, for one configuration only.
+        folder: Folder of the files; it must not have files of another configuration.
         keys: Numbers that name the files, such as scene numbers.
         make_generator: Factory of a function from a key to its samples; called once in every process.
         description: Label of the progress bar.
@@ -75,7 +75,7 @@ def generate_samples(
 
 
 def get_samples_path(folder: Path, key: int) -> Path:
-    """Return the path of the file in a folder that has the samples of a key, such as a scene number."""
+    """Return the path of the file in a folder for the samples of a key, such as a scene number."""
     return folder / f"{key:06d}.npz"
 
 
@@ -89,7 +89,7 @@ def read_samples(kind: type[Samples], path: Path) -> Samples:
 
 
 def join_samples(parts: Sequence[Samples]) -> Samples:
-    """Concatenate samples, named tuples of arrays (n, ...), in their order; raise DataNotFoundError for none."""
+    """Concatenate samples, named tuples of arrays (n, ...), in the given order; raise DataNotFoundError for none."""
     if not parts:
         raise DataNotFoundError("a training needs samples, got none; pass at least two scenes")
     return type(parts[0])(*map(np.concatenate, zip(*parts, strict=True)))
@@ -122,11 +122,7 @@ LOSS_INTERVAL, METRICS_INTERVAL = 50, 500
 
 
 class Batches(ABC):
-    """Data set of samples from which random batches are drawn.
-
-    Args:
-        samples: Arrays or tensors (n, ...) of n samples.
-    """
+    """Data set of n samples, given as a sequence of arrays or tensors (n, ...), from which random batches are drawn."""
 
     def __init__(self, samples: Sequence[Any]) -> None:
         self._samples = samples
@@ -140,7 +136,7 @@ class Batches(ABC):
 
 
 class ImitationLearner(ABC, Generic[Network, Batch]):
-    """Base class of trainers of a network, with AdamW as optimizer and exponentially averaged weights.
+    """Base class of trainers of a network by AdamW, with an exponential average of the weights.
 
     Args:
         network: Network to train.
@@ -150,11 +146,11 @@ class ImitationLearner(ABC, Generic[Network, Batch]):
     Attributes:
         learning_rate: Largest learning rate of AdamW.
         final_share: Learning rate at the end of its cosine decay, as fraction of the largest.
-        warmup: Number of updates at the start in which the learning rate rises.
+        warmup: Number of updates at the start in which the learning rate rises linearly.
         epsilon: Number that AdamW adds to denominators.
         max_gradient_norm: Largest norm of the gradient; longer gradients are scaled down.
         averaging: Decay of the exponential average of the weights; with 0 the weights are not averaged.
-        use_bfloat16: Whether matrix products are computed in bfloat16; not on processors that emulate it, slowly.
+        use_bfloat16: Whether matrix products are computed in bfloat16; False on CPUs without AVX-512, which emulate it.
         n_updates: Number of updates so far.
         averaged_network: Network with the averaged weights, for use after training.
     """
@@ -176,11 +172,11 @@ class ImitationLearner(ABC, Generic[Network, Batch]):
 
     @abstractmethod
     def compute_losses(self, network: Network, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
-        """Return the loss of a network to minimize, and its losses to report by name, for a batch on any device."""
+        """Return the loss to minimize, and losses to report by name, of a network on a batch on any device."""
 
     @abstractmethod
     def evaluate(self, held_out: Any) -> dict[str, float]:
-        """Return metrics by name of the network with averaged weights, on held-out samples."""
+        """Return metrics of the network with averaged weights on held-out samples, by name."""
 
     def list_parameter_groups(self, network: Network) -> list[tuple[Iterable[nn.Parameter], float]]:
         """Return groups of the network's parameters, each with its largest learning rate; by default one group."""
@@ -210,7 +206,7 @@ class ImitationLearner(ABC, Generic[Network, Batch]):
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Restore weights, averaged weights, optimizer state and number of updates from a dict of `get_state`."""
+        """Restore weights, averaged weights, optimizer state and number of updates from a result of `get_state`."""
         self._network.load_state_dict(state["network"])
         self._averages.load_state_dict(state["averaged"])
         self._optimizer.load_state_dict(state["optimizer"])
@@ -263,18 +259,19 @@ class ImitationArgs(SetupArgs):
 
 
 class ImitationRun:
-    """Training run of a receiver's network by imitation, with evaluations that select the best network.
+    """Training run of a receiver's network by imitation, in rounds; evaluations after them select the best network.
 
     Args:
-        args: Arguments of the training, with a setup, whose validation split selects the network.
-        receiver: Name of the receiver; its script is `train_RECEIVER.py`, and the best network `RECEIVER.npz`.
+        args: Arguments of the training; evaluations are on the validation split of `args.setup`.
+        receiver: Name of the receiver; the script is `train_RECEIVER.py`, and the file of the best network
+            `RECEIVER.npz`.
         robot: Robot model of evaluations: panda or panda_camera.
         learner: Trainer of the network.
         mutable_args: Names of arguments that may change when a run is resumed.
 
     Attributes:
         folder: Folder of the run.
-        latest: Path of the weights of the last evaluation, with which the network acts in the next round.
+        latest: Path of the weights of the last evaluated network, which acts in the next round.
         writer: Writer of the TensorBoard logs.
     """
 
@@ -316,14 +313,16 @@ class ImitationRun:
         options: Sequence[Mapping[str, object]] = ({},),
         rounds: int = 0,
     ) -> Path:
-        """Train in all rounds, and evaluate after each; return the path of the best network's weights.
+        """Train in round 0 and `rounds` further rounds, evaluate after each, and return the best network's file.
+
+        The best network has the highest mean success rate. All rounds have the same number of updates.
 
         Args:
-            collect: Function that returns the samples of a round by its number; after round 0, the network acts.
+            collect: Function from the number of a round to new samples; from round 1 on, the network should act.
             make_batches: Function from the samples of all rounds so far to a data set of batches.
             held_out: Samples that the learner is not trained on, for its metrics.
             options: Options of the receiver in each evaluation; each round has one evaluation per element.
-            rounds: Number of rounds in which the network acts, evenly spread over the training.
+            rounds: Number of rounds after round 0.
         """
         samples: list[Samples] = []
         for number, end in enumerate(np.linspace(0, self._args.updates, rounds + 2).round().astype(int)[1:].tolist()):
@@ -355,7 +354,7 @@ class ImitationRun:
             self.writer.add_scalar(f"{kind}/{name}", value, step)
 
     def _evaluate(self, options: Sequence[Mapping[str, object]]) -> None:
-        """Evaluate the network with each of the options, keep it if it is the best so far, and write a checkpoint."""
+        """Evaluate the network once per element of `options`, keep it if it is the best, and write a checkpoint."""
         steps = self._learner.n_updates
         write_network_weights(self.latest, self._learner.averaged_network, {**self._card, "steps": steps})
         successes = []

@@ -1,1 +1,1 @@
-"""Networks on point clouds in plain PyTorch; importing this package does not import PyTorch."""
+"""Networks on point clouds and images in plain PyTorch; importing this package does not import PyTorch."""

@@ -1,12 +1,12 @@
-"""Approach field: the next step of the robot's hand as a function of its pose relative to a grasp.
+"""Approach field: the next step of the robot's hand as a function of the hand's pose relative to a grasp.
 
-The field gives the labels for imitation. Labels must depend only on what a network observes. The
-field satisfies this, because it leads from any pose to the grasp, whatever motion led to that pose.
+The field gives the labels for imitation. Labels must depend only on what a network observes. The field satisfies this,
+because it leads from any pose to the grasp, whatever motion led to that pose.
 
-The hand first rotates and moves to a standoff, at a pace that matches the remaining decisions, since
-a hand that arrives early would meet a person who is still lifting the object. The hand then moves in by a
-single step: GA-DDPG closes the fingers as soon as 50 of 1,024 points are between them at the end of
-a decision, so that after several small steps the fingertips would hold the object.
+The hand first rotates and moves to a standoff, at a pace that matches the remaining decisions, because a hand that
+arrives early would meet a person who is still lifting the object. The hand then moves in by a single step: GA-DDPG
+closes the fingers as soon as more than 50 of 1,024 points are between them at the end of a decision, so that after
+several small steps the fingertips would hold the object.
 """
 
 import numpy as np
@@ -41,7 +41,7 @@ def compute_approach_steps(hands: Array, goals: Array, remaining: Array, spare_s
         hands: (n, 7) present poses of the hand link, xyz (m) and quaternion xyzw.
         goals: (n, 7) poses of the hand link at the grasps, in the same frame, quaternions xyzw.
         remaining: (n,) numbers of remaining decisions, including this one.
-        spare_steps: Number of decisions that should be left when a hand reaches its target.
+        spare_steps: Number of decisions that should be left when a hand arrives; a larger one makes it faster.
 
     Returns:
         (n, 6) translations (m) and extrinsic xyz Euler angles (rad) in the frames of the present poses.
@@ -60,11 +60,9 @@ def compute_approach_steps(hands: Array, goals: Array, remaining: Array, spare_s
 
 
 def _compute_standoffs(relative: Array, rotations: Rotation) -> Array:
-    """Return how far before its grasp each of n hands should aim, (n,) in m; 0 to move in to the grasp.
+    """Return the distance before its grasp at which each of n hands should aim, (n,) in m; 0 to move to the grasp.
 
-    Args:
-        relative: (n, 7) poses of the hand link in the frame of the grasp, quaternions xyzw.
-        rotations: Rotations of these poses.
+    Poses `relative` (n, 7; xyzw) are those of the hand link in the frames of the grasps, with these `rotations`.
     """
     pads = relative[:, :3] + PAD_DISTANCE * rotations.as_matrix()[..., 2]
     error = np.linalg.norm(pads[:, :2], axis=1) + _ROTATION_WEIGHT * rotations.magnitude()
@@ -78,7 +76,10 @@ def _compute_standoffs(relative: Array, rotations: Rotation) -> Array:
 
 
 def _limit_steps(translations: Array, rotation_vectors: Array, max_translation: Array) -> Array:
-    """Return steps (n, 6), translation (m), xyz Euler angles (rad), up to `max_translation` (n,) and MAX_ROTATION."""
+    """Scale n translations and rotation vectors, (n, 3) each, to at most `max_translation` (n,) and `MAX_ROTATION`.
+
+    Returns steps (n, 6): translation (m) and extrinsic xyz Euler angles (rad).
+    """
     by_translation = np.abs(translations).max(axis=1) / max_translation
     by_rotation = np.abs(rotation_vectors).max(axis=1) / MAX_ROTATION
     # Scaled together: a hand that rotates before it moves loses sight of the object.

@@ -54,8 +54,8 @@ class ActorOutput(NamedTuple):
 class PolicyHead(nn.Module):
     """Head of GA-DDPG's actor: two hidden layers, then outputs for the action and the grasp pose.
 
-    Layers are named as in GA-DDPG's code, so that the original weights can be loaded, and
-    initialized by Xavier's method. `log_std_linear`, the deviation of the action, is not evaluated.
+    Layers are named as in GA-DDPG's code, so that the original weights can be loaded, and initialized by Xavier's
+    method. The layer `log_std_linear`, for the standard deviation of the action, is not evaluated.
     """
 
     def __init__(self) -> None:
@@ -91,9 +91,9 @@ class GaddpgNetwork(SavedNetwork):
     """Encoder and head of GA-DDPG's actor, for the receiver `gaddpg`.
 
     Args:
-        spare_steps: Number of decisions that should be left at the predicted grasp, to which the hand moves by
-            `compute_approach_steps`; None executes the predicted action instead.
-        max_steps: Largest number of decisions of an approach; None leaves it to the receiver.
+        spare_steps: Argument of `compute_approach_steps`, which moves the hand to the predicted grasp; None executes
+            the predicted action instead.
+        max_steps: Largest number of decisions of an approach; None for the default of the receiver.
 
     Attributes:
         features: Encoder of clouds with channels xyz in the hand link's frame (m) and a zero.
@@ -142,7 +142,7 @@ class GaddpgNetwork(SavedNetwork):
         return np.asarray(steps[0], dtype=np.float32)
 
     def get_settings(self) -> dict[str, Any]:
-        """Return the constructor's arguments in JSON types, with the keys of the shipped file."""
+        """Return the arguments as {"approach": {"spare": spare_steps} or None, "max_steps": max_steps}."""
         approach = None if self.spare_steps is None else {"spare": self.spare_steps}
         return {"approach": approach, "max_steps": self.max_steps}
 
@@ -160,13 +160,17 @@ _STAGES, _DENSE = re.compile(r"^(module\.)?encoder\.0\."), re.compile(r"^(module
 
 
 def read_gaddpg_checkpoint(path: str | Path) -> tuple[GaddpgNetwork, str]:
-    """Read the network from a checkpoint of GA-DDPG's authors; raise DataNotFoundError or DataFormatError if it fails.
+    """Read the network from a checkpoint of GA-DDPG's authors; run no code from it.
 
     Args:
         path: Folder of the checkpoint, or one of its two files.
 
     Returns:
         The network in evaluation mode on the CPU, and a hash of both files (8 hexadecimal digits).
+
+    Raises:
+        DataNotFoundError, DataFormatError: A file is missing or damaged.
+        UnsafeFileError: A file contains more than weights.
     """
     actor, features = _find_files(Path(path).expanduser())
     (head, head_content), (encoder, encoder_content) = map(_read_weights, (actor, features))

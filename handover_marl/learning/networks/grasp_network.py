@@ -1,8 +1,8 @@
 """Network that predicts grasps, and their quality, at many points of an observed object.
 
-As in Contact-GraspNet (Sundermeyer et al., ICRA 2021), each point predicts the grasp next to it,
-and the best one is chosen: a single regression for the whole cloud would average distant grasps.
-Clouds contain the object and the person's hand, in the hand link's frame (m).
+As in Contact-GraspNet (Sundermeyer et al., ICRA 2021), the network predicts a grasp next to each point, and the best
+one is chosen: a single regression for the whole cloud would average distant grasps. Clouds contain the object and the
+person's hand, in the frame of the robot's hand link (m).
 """
 
 import itertools
@@ -27,11 +27,11 @@ class GraspOutputs(NamedTuple):
     """Predicted grasps for B clouds at C points (centers) each, in the hand link's frame.
 
     Attributes:
-        quality: (B, C) logits of the quality (0 to 1) of the grasp at a center.
+        quality: (B, C) logits of the quality (0 to 1) of the grasp at a center; a higher one is better.
         positions: (B, C, 3) points between the finger pads at the grasps (m).
         rotations: (B, C, 3, 3) orientations of the Panda's hand link; a rotation by pi about z is equivalent.
         object_center: (B, 3) center of the whole object, with its unobserved parts (m).
-        object_motion: (B, 3) displacement of the object in the coming 0.5 s, as in the training data (m).
+        object_motion: (B, 3) predicted displacement of the object in the coming 0.5 s (m).
     """
 
     quality: Tensor
@@ -71,7 +71,7 @@ def _layers(*widths: int) -> nn.Sequential:
 
 
 class GraspNetwork(SavedNetwork):
-    """Grasp predictor of the receiver `vision`; the order of the points in a cloud does not change its grasps."""
+    """Grasp predictor of the receiver `vision`; predictions do not depend on the order of the points in a cloud."""
 
     kind = "vision"
 
@@ -93,7 +93,7 @@ class GraspNetwork(SavedNetwork):
         return cls()
 
     def forward(self, clouds: PointCloudBatch) -> GraspOutputs:
-        """Predict grasps and their quality at C centers of each of B clouds, and center and motion of the objects."""
+        """Predict grasps and their quality at C centers of each of B clouds, and the objects' centers and motions."""
         n_object = clouds.object_points.shape[1]
         mean = clouds.object_points.mean(dim=1, keepdim=True)
         positions = torch.cat([clouds.object_points, clouds.hand_points], dim=1)
@@ -124,8 +124,8 @@ class GraspNetwork(SavedNetwork):
         """Return the features (B, 256) of clouds.
 
         Args:
-            points: (B, N + M, 128) features of the points: N of the object, M of the hand.
-            mask: (B, N + M) 1 for points, 0 for padding.
+            points: (B, N + M, 128) features of the points: N of the object, then M of the person's hand.
+            mask: (B, N + M) whether a point is valid; others are padding.
             clouds: The clouds, with the velocities of the objects.
         """
         n_object = clouds.object_points.shape[1]
@@ -140,7 +140,7 @@ class GraspNetwork(SavedNetwork):
         Args:
             points: (B, N + M, 128) features of the points.
             positions: (B, N + M, 3) positions relative to the mean of the object's points (m).
-            mask: (B, N + M) valid points.
+            mask: (B, N + M) whether a point is valid.
             centers: (B, C, 3) positions relative to the same mean (m).
         """
         with torch.no_grad():
@@ -156,7 +156,7 @@ class GraspNetwork(SavedNetwork):
 
 
 def rotations_from_6d(vectors: Tensor) -> Tensor:
-    """Return rotation matrices (..., 3, 3) from six numbers (..., 6): z axis, then y axis, which are orthonormalized.
+    """Return rotation matrices (..., 3, 3) from vectors (..., 6): z axis, then y axis, which are orthonormalized.
 
     See Zhou et al., "On the Continuity of Rotation Representations in Neural Networks", CVPR 2019.
     """

@@ -45,8 +45,8 @@ def query_ball(points: Tensor, centers: Tensor, radius: float, count: int) -> Te
         points: (B, N, 3) positions (m).
         centers: (B, M, 3) positions (m).
         radius: Radius (m), exclusive.
-        count: Number of points per center; the first one fills missing places, or point 0 if no
-            point is within the radius.
+        count: Number of points per center. If fewer are within the radius, the first of them is repeated; if none is,
+            point 0.
 
     Returns:
         (B, M, count) indices of points, int64.
@@ -75,7 +75,7 @@ class SetAbstraction(nn.Module):
 
     Args:
         channels: Number of input channels without the position, then the width of every layer.
-        n_groups: Number of groups, balls around centers from farthest point sampling; 0 makes one of all points.
+        n_groups: Number of groups: balls around centers from farthest point sampling; 0 makes one group of all points.
         radius: Radius of the balls (m).
         group_size: Number of points per ball.
     """
@@ -118,8 +118,8 @@ class SetAbstraction(nn.Module):
 class PointNetPlusPlus(nn.Module):
     """PointNet++ encoder of GA-DDPG: three set abstractions and two dense layers.
 
-    The output depends on the first point of a cloud, at which farthest point sampling starts. The order of the
-    other points matters only if a ball has more points than its group.
+    The output depends on which point of a cloud is the first, since farthest point sampling starts there. The order of
+    the other points matters only if a ball contains more points than the size of its group.
     """
 
     n_features = 512

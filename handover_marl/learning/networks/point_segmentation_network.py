@@ -1,7 +1,7 @@
 """Network that separates the points of the object from those of the person's hand that holds it.
 
-PointNet++ for segmentation (Qi et al., NeurIPS 2017): features of neighborhoods that grow from level to level, then
-interpolated back to the points. Unlike in an image, a hand has the same size at any distance of the camera.
+As in PointNet++ for segmentation (Qi et al., NeurIPS 2017), it computes features of neighborhoods that grow from level
+to level, and interpolates them back to the points. Unlike in an image, a hand has the same size at any distance.
 """
 
 import itertools
@@ -42,7 +42,10 @@ def _find_nearest(points: Tensor, centers: Tensor, count: int) -> tuple[Tensor, 
 
 
 class _Neighborhoods(nn.Module):
-    """Layer that gives each center the largest value of each feature among its `size` nearest points."""
+    """Layer that computes features of each center: maxima of features of its `size` nearest points.
+
+    The features of a point depend on its position relative to the center, which is multiplied by `scale` (1/m).
+    """
 
     def __init__(self, n_inputs: int, n_outputs: int, size: int, scale: float) -> None:
         super().__init__()
@@ -68,11 +71,7 @@ def _interpolate(points: Tensor, centers: Tensor, features: Tensor) -> Tensor:
 
 
 class PointSegmentationNetwork(nn.Module):
-    """Network that classifies each point of clouds of object and hand.
-
-    Args:
-        n_classes: Number of classes.
-    """
+    """Network that assigns each point of clouds of object and hand to one of `n_classes` classes."""
 
     def __init__(self, n_classes: int) -> None:
         super().__init__()
@@ -95,7 +94,7 @@ class PointSegmentationNetwork(nn.Module):
 
         Args:
             points: (B, N, 3) points in a frame whose z coordinate is the height in the world (m), in random order.
-            margins: (B, N) differences of the logits of hand and object in the image; 0 if unknown.
+            margins: (B, N) logit of the hand minus logit of the object that the image network predicts; 0 if unknown.
             hand_link: (B, 3) position of the robot's hand link in the same frame (m).
         """
         mean = points.mean(dim=1)

@@ -1,7 +1,7 @@
 """Network that segments images of the wrist camera into object, person's hand, other objects and the rest.
 
-The first part is a small U-Net (Ronneberger et al., MICCAI 2015) on blocks of 4 x 4 pixels, which takes a tenth of the
-time of one on pixels. The second part classifies the points at which the first finds the object or the hand.
+The first part is a small U-Net (Ronneberger et al., MICCAI 2015) on blocks of 4 x 4 pixels, which is ten times as fast
+as one on pixels. The second part classifies the 3D points of the pixels that the first one assigns to object or hand.
 """
 
 import torch
@@ -30,7 +30,7 @@ class SegmentationNetwork(SavedNetwork):
     """Convolutional network that classifies the pixels of images, whose sides must be multiples of 32 pixels.
 
     Attributes:
-        points: Network that classifies points of object and hand.
+        points: Network that classifies points of object and hand; `forward` does not evaluate it.
     """
 
     kind = "segmentation"

@@ -2,7 +2,7 @@
 
 A file is a NumPy archive with one array per parameter: vectors in single precision, others in half
 precision, or, for large arrays of some networks, 8-bit integers with a scale per row (`name:scale`).
-The entry `about` is JSON: `format`, `kind`, `settings` (arguments of the network) and `made_by` (its training).
+The entry `about` is JSON: `format`, `kind`, `settings` (arguments of the network) and `made_by` (the training).
 """
 
 import contextlib
@@ -56,11 +56,11 @@ def untrained_networks() -> Iterator[None]:
 
 
 class SavedNetwork(nn.Module):
-    """Base class of networks that can be written to a file of weights and read from it.
+    """Base class of networks whose weights can be written to a file and read from it.
 
     Attributes:
-        kind: Kind of the network in files; `experiments/training/train_KIND.py` trains it.
-        uses_int8: Whether large arrays are stored as 8-bit integers.
+        kind: Name of the kind of network in files; `experiments/training/train_KIND.py` trains it.
+        uses_int8: Whether arrays of 100,000 numbers or more are stored as 8-bit integers.
     """
 
     kind: ClassVar[str]
@@ -77,12 +77,9 @@ class SavedNetwork(nn.Module):
 
 
 def write_network_weights(path: Path, network: SavedNetwork, provenance: Mapping[str, Any]) -> None:
-    """Write the weights of a network, with the arguments of its constructor, to a file.
+    """Write the weights of a network, with the arguments of its constructor, to a file (.npz).
 
-    Args:
-        path: File to write (.npz).
-        network: Network to write.
-        provenance: Description of the training in JSON types, for a model card.
+    The argument `provenance` describes the training in JSON types, for a model card.
     """
     arrays: dict[str, npt.NDArray[Any]] = {}
     for name, value in network.state_dict().items():
@@ -93,14 +90,13 @@ def write_network_weights(path: Path, network: SavedNetwork, provenance: Mapping
 
 
 def read_network_weights(path: str | Path, network_class: type[_Network]) -> tuple[_Network, str]:
-    """Read a network from a file of weights; raise DataNotFoundError or DataFormatError if that fails.
-
-    Args:
-        path: File of weights.
-        network_class: Class of the network in the file.
+    """Read a network of the class `network_class` from a file of weights.
 
     Returns:
         The network in evaluation mode on the CPU, and a hash of the file (8 hexadecimal digits).
+
+    Raises:
+        DataNotFoundError, DataFormatError: The file is missing or damaged, or has another kind of network.
     """
     file = Path(path).expanduser()
     kind = network_class.kind

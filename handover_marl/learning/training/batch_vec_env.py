@@ -36,7 +36,7 @@ class BatchVecEnv(VecEnv):
         super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
 
     def seed(self, seed: int | None = None) -> list[int | None]:
-        """Set and return one seed per environment, spawned from `seed`; None keeps the state of random generators."""
+        """Set and return one seed per environment for the next reset, spawned from `seed`; None seeds nothing."""
         self._seeds = [None] * self.num_envs if seed is None else list(spawn_seeds(self.num_envs, seed))
         return self._seeds
 

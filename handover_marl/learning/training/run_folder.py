@@ -34,9 +34,9 @@ _UNRECORDED_ARGUMENTS = ("out", "data_dir", "resume")
 
 
 def spawn_seeds(count: int, *entropy: int) -> list[int]:
-    """Return `count` 32-bit seeds derived from `entropy`, e.g. a run's seed.
+    """Return `count` 32-bit seeds derived from the integers `entropy`, e.g. the seed of a training.
 
-    Other `entropy` gives unrelated seeds, unless it differs only by zeros at its end.
+    Different integers give unrelated seeds, unless they differ only by zeros at the end.
     """
     return [int(seed) for seed in np.random.SeedSequence(entropy).generate_state(count)]
 
@@ -51,16 +51,16 @@ def describe_origin(script: str, arguments: object, *omitted: str) -> str:
 def open_run_folder(
     path: Path, args: object, resume: bool, dataset: str, mutable_args: Sequence[str] = (), **hashes: str
 ) -> Path:
-    """Make the folder of a training run with its arguments, or check that it holds this run; return its path.
+    """Make the folder of a training run, write the run's arguments to it, and return its path.
 
     Args:
         path: Path of the folder.
-        args: Dataclass of the run's arguments; only the same run can be resumed.
-        resume: Whether to continue the run in the folder. `ResultsError` is raised if there is none or another run,
-            and, without `resume`, if there is a run.
+        args: Dataclass of the run's arguments. To resume, all but durations and paths (`_MUTABLE_ARGS`) must be equal.
+        resume: Whether to continue the run in the folder. `ResultsError` is raised if the folder has no run or one with
+            other arguments, and, without `resume`, if it has a run.
         dataset: Name of the dataset, to which "auto" was resolved.
         mutable_args: Names of further arguments that may change when a run is resumed.
-        hashes: Hashes of policies and files that the arguments name, by name.
+        hashes: Hashes of policies and files that the arguments name, by name; they must be the same, too.
     """
     recorded = {key: value for key, value in vars(args).items() if key not in (*_MUTABLE_ARGS, *mutable_args)}
     text = json.dumps(recorded | {"dataset": dataset} | hashes, indent=1, default=repr)
@@ -90,23 +90,16 @@ def open_run_folder(
 
 
 def write_checkpoint(path: Path, state: dict[str, Any]) -> None:
-    """Write a checkpoint file; an interruption leaves the previous file intact.
-
-    Args:
-        path: File to write.
-        state: Dict of tensors and numbers.
-    """
+    """Write a checkpoint file with a dict of tensors and numbers; an interruption leaves the previous file intact."""
     temporary = path.with_suffix(".part")
     torch.save(state, temporary)
     temporary.replace(path)
 
 
 def read_checkpoint(path: Path, restore: Callable[[dict[str, Any]], None]) -> None:
-    """Read a checkpoint, without running code in it, and pass its state to a function; if it fails, raise ResultsError.
+    """Read a file of `write_checkpoint`, without running code in it, and call `restore` with the dict in it.
 
-    Args:
-        path: File written by `write_checkpoint`.
-        restore: Function that continues from the state, a dict of tensors and numbers.
+    Raises ResultsError if reading or `restore` fails.
     """
     try:
         check_archive(path, _MAX_CHECKPOINT_BYTES)
@@ -120,7 +113,7 @@ def read_checkpoint(path: Path, restore: Callable[[dict[str, Any]], None]) -> No
 def validate(
     args: SetupArgs, count: int, giver: PolicyLike, receiver: PolicyLike, label: str, **options: Any
 ) -> Report:
-    """Evaluate a pair on evenly chosen validation scenes; print a line with its outcomes, and return the report.
+    """Evaluate giver and receiver on evenly chosen validation scenes; print a line of outcomes; return the report.
 
     Args:
         args: Dataset and setup.
@@ -149,12 +142,12 @@ def fit_network(
     learning_rate: float,
     weight_decay: float,
 ) -> DenseNetwork:
-    """Train a network on normalized inputs by AdamW with cosine decay to zero; return it with its normalization.
+    """Train a network on normalized inputs by AdamW with cosine decay to zero; return it as a `DenseNetwork`.
 
     Args:
-        network: New network of linear layers.
+        network: New network of linear layers on the CPU, trained in place.
         activation: Activation between the layers, a key of `ACTIVATIONS`.
-        inputs: Inputs (n, k) of all samples.
+        inputs: Inputs (n, k) of all samples; their mean and deviation are the normalization.
         batches: Indices (b,) of the samples in each gradient step.
         compute_loss: Function from the outputs (b, m) of the network and the indices (b,) of their samples to a loss.
         learning_rate: Learning rate at the start.
@@ -176,13 +169,9 @@ def fit_network(
 
 
 def make_mlp(n_inputs: int, n_outputs: int, width: int = 64, gain: float = 1.0) -> nn.Sequential:
-    """Make a network with two hidden tanh layers and orthogonal initialization.
+    """Make a network with two hidden tanh layers of the given width, with orthogonal initialization.
 
-    Args:
-        n_inputs: Number of inputs.
-        n_outputs: Number of outputs.
-        width: Width of the hidden layers.
-        gain: Scale of the initial weights of the last layer; a small one makes the first outputs nearly zero.
+    The initial weights of the last layer are scaled by `gain`; a small one makes the first outputs nearly zero.
     """
     layers = [nn.Linear(n_inputs, width), nn.Tanh(), nn.Linear(width, width), nn.Tanh(), nn.Linear(width, n_outputs)]
     for layer in layers:

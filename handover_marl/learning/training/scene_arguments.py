@@ -22,7 +22,7 @@ _Result = TypeVar("_Result")
 
 
 def run_script(main: Callable[[_Args], _Result], arguments: type[_Args], description: str | None) -> _Result:
-    """Call a script's function `main` with arguments of the command line; print library errors without a traceback."""
+    """Call a script's function `main` with the parsed command line; exit on library errors without a traceback."""
     try:
         return main(tyro.cli(arguments, description=description))
     except HandoverError as error:
@@ -30,12 +30,12 @@ def run_script(main: Callable[[_Args], _Result], arguments: type[_Args], descrip
 
 
 def select_training_scenes(scene_ids: Sequence[int]) -> tuple[int, ...]:
-    """Return the scenes of a training split that are used for training: all but every tenth, or the only one."""
+    """Return the scenes of a training split that are used for training: all but the 1st, 11th, ..., or the only one."""
     return tuple(scene for number, scene in enumerate(scene_ids) if number % _HELD_OUT) or tuple(scene_ids)
 
 
 def select_held_out_scenes(scene_ids: Sequence[int]) -> tuple[int, ...]:
-    """Return every tenth scene of a training split, which is held out from training to measure losses and success."""
+    """Return the 1st, 11th, ... scene of a training split: held out from training to measure losses and success."""
     return tuple(scene_ids[::_HELD_OUT])
 
 

@@ -60,7 +60,7 @@ class ArticulatedBody:
         client: Physics client.
         urdf: Model file.
         motors: One motor per moving joint, in joint order.
-        mask: Collision group and mask of all links.
+        mask: Bullet's collision group and collision mask of all links.
         joints: Positions of the moving joints after loading (m, rad).
         velocities: Velocities of the moving joints (m/s, rad/s); None means that the body is at rest.
         base: (7,) world pose (quaternion xyzw) of the base link.
@@ -116,7 +116,7 @@ class ArticulatedBody:
             self.client.resetJointState(self.id, joint, position, velocity)
 
     def set_motor_targets(self, target: list[float]) -> None:
-        """Set the target positions (m, rad) of the body's joint motors, unless they equal the last ones."""
+        """Set the target positions (m, rad) of the body's joint motors, unless they equal those of the last call."""
         if target == self._target:
             return
         self._target = target
@@ -221,7 +221,7 @@ class ObjectBody(ArticulatedBody):
         return pose
 
     def release(self) -> None:
-        """Disable the object's motors, and enable its collisions with table and other objects."""
+        """Disable the object's motors, and let it collide with everything but the human hand."""
         self.set_collision_mask(RELEASED_MASK)
         self._forces = [0.0] * len(self.joints)
         if self._target is not None:
@@ -230,10 +230,10 @@ class ObjectBody(ArticulatedBody):
 
 
 def compute_object_masks(class_ids: Sequence[int]) -> list[int]:
-    """Return the collision masks of a scene's objects before their release, with one bit for each object.
+    """Return the collision masks of objects, given their class numbers: 2**bit, with another bit for each object.
 
-    The objects collide with the robot but not with each other. The YCB classes of DexYCB have HandoverSim's
-    bits, 1 to 20. Other class numbers, and further objects of the same class, get the next unused bits.
+    Until their release, the objects collide with the robot but not with each other. YCB classes of DexYCB have
+    HandoverSim's bits, 1 to 20. Other class numbers, and further objects of the same class, get the next unused bits.
     """
     bits: list[int | None] = []
     for class_id in class_ids:
@@ -255,7 +255,7 @@ class PandaBody(ArticulatedBody):
         config: Base pose, initial joint positions and motors of the robot.
 
     Attributes:
-        hand_link: Link number of the gripper base (`panda_hand`), whose pose is the gripper pose.
+        hand_link: Link number of the gripper's base (`panda_hand`), whose pose is the gripper pose.
         finger_links: Link numbers of the left and the right finger.
     """
 
@@ -298,7 +298,7 @@ class PandaBody(ArticulatedBody):
         self.client.changeVisualShape(self.id, self._camera_link, rgbaColor=rgba)
 
     def park(self) -> None:
-        """Put the robot at its start joints without collisions, between two episodes; `reset_to_start` ends this."""
+        """Put the robot at its initial joint positions without collisions, until `reset_to_start` is called."""
         self.reset_joints(self._start)
         self.set_collision_mask(0)
 
@@ -317,7 +317,7 @@ class Workcell:
 
     Attributes:
         table_id: PyBullet body number of the table.
-        panda: Panda at its initial joint positions.
+        panda: Panda, loaded at its initial joint positions.
     """
 
     table_id: int

@@ -116,7 +116,7 @@ class BulletClient:
 
 
 def connect(window: bool = False) -> BulletClient:
-    """Start a physics server in this process and return its client; `window` opens PyBullet's window."""
+    """Start a physics server in this process, with PyBullet's window if `window` is True, and return its client."""
     if not window:
         return BulletClient(pybullet.DIRECT)
     if sys.platform.startswith("linux"):
@@ -148,7 +148,7 @@ def _require_screen() -> None:
 
 
 def load_urdf(client: BulletClient, path: Path | str, **options: object) -> int:
-    """Load a URDF file by PyBullet's `loadURDF`; return the body number. A failure raises `SimulationError`."""
+    """Load a URDF file by PyBullet's `loadURDF` and return the body number; raise `SimulationError` if this fails."""
     urdf = Path(path)
     # A missing file may still be in PyBullet's own data folder.
     with contextlib.suppress(OSError):
@@ -163,9 +163,10 @@ def load_urdf(client: BulletClient, path: Path | str, **options: object) -> int:
 
 @cached_by_file(maxsize=256)
 def check_model_files(urdf: Path) -> None:
-    """Raise `SimulationError` if a model's files are not safe to load in PyBullet; unchanged files are checked once.
+    """Raise `SimulationError` if a URDF file or its meshes are not safe to load in PyBullet.
 
-    PyBullet crashes on invalid vertex numbers, waits forever if a path is a pipe, and accepts numbers of any size.
+    PyBullet crashes on invalid vertex numbers, waits forever if a path is a pipe, and accepts numbers of any size. The
+    check is repeated only when the URDF file changes. A missing URDF file raises `OSError`.
     """
     try:
         parse_urdf(urdf)

@@ -39,7 +39,7 @@ class ExactWorld(BulletWorld):
         self._reference: Iterator[tuple[list[list[float]], list[float] | None]] = iter(())
 
     def reset(self, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
-        """Load a scene; set hand and objects to the only row of `start`, and the robot to nine joints (rad, m)."""
+        """Load a scene; set human hand and objects to the only row of `start`, the robot to nine joints (rad, m)."""
         with self._start_scene(scene):
             panda = replace(self._config.panda, start_joints=tuple(robot_joints))
             self._workcell = load_workcell(self._client, scene.assets, replace(self._config, panda=panda))
@@ -52,7 +52,7 @@ class ExactWorld(BulletWorld):
             self._update_hand(start.list_hand_targets()[0])
 
     def set_reference(self, motion: ReferenceMotion) -> None:
-        """Set the joint targets of hand and objects for the coming physics steps; row k of `motion` is for step k."""
+        """Set the joint targets of human hand and objects in the coming steps; row k of `motion` is for step k."""
         self._reference = iter(zip(motion.objects.tolist(), motion.list_hand_targets(), strict=True))
 
     def step(self, robot_target: list[float]) -> None:
@@ -70,18 +70,18 @@ class ExactWorld(BulletWorld):
         self._simulate()
 
     def read_contacts(self, released: bool) -> Contacts:
-        """Return the contacts of the last step; `released` adds those between the target and table or other objects."""
+        """Return the contacts of the last step; read those of the target with table and objects only if `released`."""
         hand = () if self._hand is None else (self._hand.id,)
         return self._read_contacts(hand, self._objects[0], {body.id for body in self._objects[1:]}, released)
 
     def render_camera(self, snapshot: JointSnapshot | None, color: bool, camera: Pinhole = WRIST_CAMERA) -> CameraImage:
-        """Render an image of a camera for a snapshot, None for the current state; `color` adds colors."""
+        """Render an image of a camera at the joints of `snapshot`, None for the current ones; `color` adds colors."""
         if snapshot is not None:
             return super().render_camera(snapshot, color, camera)
         return render_camera(self._client, self._loaded_workcell, self._objects, self._hand, color, camera)
 
     def _update_hand(self, target: list[float] | None) -> None:
-        """Load the human hand at its first target, and remove it when there is no target."""
+        """Load the human hand at `target`, its 51 joints (m, rad), if it is not loaded; remove it if this is None."""
         if target is None and self._hand is not None:
             self._hand.remove()
             self._hand = None
@@ -104,9 +104,9 @@ class ExactWorld(BulletWorld):
 class FastWorld(BulletWorld):
     """PyBullet world that simulates an object only after the Panda has come near it, or after the release.
 
-    The Panda is simulated as in `ExactWorld`, like objects that it may soon touch and, after the release, all objects.
-    The human hand follows its reference kinematically, as its motors would move it. It can touch only the Panda, and
-    such a contact ends the episode, so its dynamics have no effect. Robot, table and hands stay loaded between scenes.
+    The Panda is simulated as in `ExactWorld`, and so are objects that it may soon touch and, after the release, all
+    objects. The human hand follows its reference motion kinematically, as its motors would move it. It touches only the
+    Panda, and that ends the episode, so its dynamics have no effect. Robot, table and hand shapes stay loaded.
     """
 
     def __init__(self, config: PhysicsConfig, window: bool = False) -> None:
@@ -122,7 +122,7 @@ class FastWorld(BulletWorld):
         self._free_until, self._free_target = 0, list[float]()
 
     def reset(self, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
-        """Load a scene; set hand and objects to the only row of `start`, and the robot to nine joints (rad, m)."""
+        """Load a scene; set human hand and objects to the only row of `start`, the robot to nine joints (rad, m)."""
         assets = scene.assets
         files = (assets.table, assets.panda)
         with self._start_scene(scene):
@@ -154,7 +154,7 @@ class FastWorld(BulletWorld):
             panda.reset_to_start(robot_joints)
 
     def set_reference(self, motion: ReferenceMotion) -> None:
-        """Set the joint targets of hand and objects for the coming physics steps; row k of `motion` is for step k."""
+        """Set the joint targets of human hand and objects in the coming steps; row k of `motion` is for step k."""
         self._row, self._n_rows, self._free_until = -1, len(motion.hand), 0
         asleep = []
         for number, item in enumerate(self._objects):
@@ -178,7 +178,7 @@ class FastWorld(BulletWorld):
         self._simulate()
 
     def read_contacts(self, released: bool) -> Contacts:
-        """Return the contacts of the last step; `released` adds those between the target and table or other objects."""
+        """Return the contacts of the last step; read those of the target with table and objects only if `released`."""
         target, *others = (item.body for item in self._objects)
         hand, awake = self._loaded_hand.bodies, {other.id for other in others if other is not None}
         if target is None and not hand and not awake:
@@ -197,7 +197,7 @@ class FastWorld(BulletWorld):
         self._n_steps = 0
 
     def _wake_reachable_bodies(self, robot_target: list[float]) -> None:
-        """Wake the sleeping bodies that the Panda may reach soon; count the steps before it can reach the others."""
+        """Wake (simulate) bodies that the Panda may reach soon; store the step before which it can reach no other."""
         row, panda = self._row, self._loaded_workcell.panda
         self._free_target, self._free_until = robot_target, self._n_rows
         bodies: list[KinematicHand | SleepableObject] = [self._loaded_hand, *self._objects]

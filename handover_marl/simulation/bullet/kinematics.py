@@ -27,10 +27,9 @@ _ARM_JOINTS = tuple(range(ARM_DOF))
 class BulletIKStep:
     """Inverse kinematics of the Panda by one call of PyBullet, which may not converge.
 
-    The Panda is loaded as in `ExactWorld`, so that the solution equals, bit for bit, the solution of
-    a query in the physics client of `ExactWorld` with the same joints. Bullet makes 20 damped
-    least-squares steps, stops at 0.1 mm, and uses no joint limits and no rest pose. Queries are
-    independent of each other. `BulletIKSolver` repeats the query until it converges.
+    The Panda is loaded as in `ExactWorld`, so that the solution equals, bit for bit, the solution of a query in the
+    physics client of `ExactWorld` with the same joints. Bullet makes at most 20 damped least-squares steps, stops at
+    0.1 mm, and uses no joint limits and no rest pose. Queries are independent of each other.
 
     Args:
         urdf: Model of the Panda.
@@ -59,7 +58,7 @@ class BulletIKStep:
         return np.array(self._client.calculateInverseKinematics(self._panda.id, self._panda.hand_link, *target))
 
     def to_base_frame(self, world_from_hand: npt.NDArray[np.floating]) -> Array:
-        """Transform a world pose (7,) (quaternion xyzw) to the robot's base frame, rounded to float32."""
+        """Transform a pose (7,) (quaternion xyzw) from the world to the robot's base frame, rounded to float32."""
         return self._multiply(self._base_from_world, (world_from_hand[:3].tolist(), world_from_hand[3:].tolist()))
 
     def to_world_frame(self, base_from_hand: Array) -> Array:
@@ -89,10 +88,10 @@ class BulletIKSolver(IkSolver):
     def solve_many(
         self, starts: npt.NDArray[np.floating], positions: Array, orientations: Array | None = None
     ) -> Array:
-        """Return arm joints (n, 7) in rad that move the hand link to world poses, see `IkSolver.solve_many`.
+        """Return arm joints (n, 7) in rad that move the hand link to n world poses; rows without convergence are nan.
 
-        Queries are solved one after another. Bullet's damped steps are repeated until the hand is within 1 mm and
-        0.1 rad of the target. Joint limits are ignored, as in HandoverSim.
+        Arguments are as in `IkSolver.solve_many`. For one pose after another, Bullet's damped steps are repeated until
+        the hand link is within 1 mm and 0.1 rad of the pose. Joint limits are ignored, as in HandoverSim.
         """
         found, targets = np.full((len(starts), ARM_DOF), np.nan), positions.astype(np.float64)
         # For a pose out of reach, the iteration would not converge, but take minutes.

@@ -43,7 +43,7 @@ def render_camera(
 
     Args:
         client: Physics client.
-        workcell: Table, and Panda with the wrist camera.
+        workcell: Table, and Panda, on which the camera may be mounted.
         objects: Objects, the target first.
         hand: Human hand, if there is one.
         color: Whether to render colors.
@@ -80,7 +80,7 @@ def render_camera(
 
 
 def _label_pixels(numbers: npt.NDArray[np.int32], labels: Mapping[int, SegmentationLabel]) -> npt.NDArray[np.uint8]:
-    """Replace PyBullet body numbers of pixels by segmentation labels; -1 is no body."""
+    """Return the segmentation labels (h, w) of pixels with PyBullet body numbers (h, w); -1 is no body."""
     table = np.full(max(*labels, int(numbers.max()), 0) + 2, SegmentationLabel.BACKGROUND, dtype=np.uint8)
     for body, label in labels.items():
         table[body] = label
@@ -149,7 +149,7 @@ class SceneRenderer:
         self._hand: HandBody | None = None
 
     def render_overview(self, snapshot: JointSnapshot, camera: CameraConfig) -> npt.NDArray[np.uint8]:
-        """Render an overview camera's RGB image (height, width, 3), uint8, of the scene at given joint positions."""
+        """Render an RGB image (height, width, 3), uint8, of the scene at given joints by a world-fixed camera."""
         if camera.link:
             raise OptionError(f"link of the camera of an overview must be '', got {camera.link!r}")
         self.set_joints(snapshot)

@@ -35,7 +35,7 @@ _REST_TOLERANCE = 1e-7
 
 @cached_by_file(maxsize=None)
 def read_bounding_spheres(urdf: Path) -> dict[int, BoundingSphere]:
-    """Return the bounding spheres of all links with collision shapes, by link number; -1 is the base."""
+    """Return bounding spheres, measured by PyBullet, of all links with collision shapes, by number; -1 is the base."""
     # A separate physics client keeps the body numbers of the worlds independent of this cache.
     client = connect()
     body = load_urdf(client, urdf, useFixedBase=True)
@@ -55,19 +55,19 @@ def read_bounding_spheres(urdf: Path) -> dict[int, BoundingSphere]:
 
 
 class SleepableObject(BodyTrajectory):
-    """Scene object that is simulated while it is awake and follows its reference kinematically while it sleeps.
+    """Scene object that sleeps (follows its reference motion kinematically) until it is woken (simulated).
 
     Args:
         client: Physics client.
         urdf: Model file.
         mask: Collision group and mask before the release, from `compute_object_masks`.
-        start: (6,) initial joint positions: xyz (m) and intrinsic XYZ Euler angles (rad).
+        start: Initial joint positions (6,): xyz (m) and intrinsic XYZ Euler angles (rad).
         config: Motors of the six joints.
 
     Attributes:
         body: Body in the simulation; None while the object sleeps.
         reach: Upper bound (m) on the distance of any point of the object from its origin.
-        targets: Joint targets of the current reference motion, one row per step.
+        targets: Six joint targets (m, rad) for each step of the current reference motion, set by the world.
     """
 
     def __init__(
@@ -86,20 +86,20 @@ class SleepableObject(BodyTrajectory):
         return self.body is not None
 
     def wake(self, row: int) -> None:
-        """Add the object to the simulation before step `row` of the reference motion."""
+        """Add the object to the PyBullet simulation before step `row` of the reference motion, unless it is there."""
         if self.body is None:
             joints, before = self.get_joints(row - 1), self.get_joints(row - 2)
             velocities = ((joints - before) / TIME_STEP).tolist()
             self.body = ObjectBody(self._client, self._urdf, self._mask, self._config, joints.tolist(), velocities)
 
     def read_joints(self, row: int) -> npt.NDArray[np.float32]:
-        """Return the object's present joints (6,), float32 (m, rad); `row` is the last simulated step."""
+        """Return the object's current joint positions (6,), float32 (m, rad); `row` is the last simulated step."""
         if self.body is not None:
             return self.body.read_joint_positions()
         return self.get_joints(row).astype(np.float32)
 
     def read_pose(self, row: int) -> npt.NDArray[np.float32]:
-        """Return the object's present world pose (7,), float32: xyz (m), quaternion xyzw; `row` as in `read_joints`."""
+        """Return the object's world pose (7,), float32: xyz (m), quaternion xyzw; `row` is the last simulated step."""
         if self.body is not None:
             return self.body.read_pose()
         poses = self._tree.compute_link_poses(self.get_joints(row)[None], [len(self._tree.joints) - 1])
@@ -129,9 +129,9 @@ def create_collision_shape(client: BulletClient, shape: UrdfShape) -> int:
 
 
 class KinematicHand(BodyTrajectory):
-    """Human hand that follows its reference kinematically; its collision shapes are loaded once for many scenes.
+    """Human hand that follows its reference motion kinematically; its shapes are loaded once for many scenes.
 
-    An awake hand has one static body in the PyBullet simulation for each collision shape.
+    Once woken, the hand has one static body in the PyBullet simulation for each collision shape.
 
     Args:
         client: Physics client.
@@ -139,8 +139,8 @@ class KinematicHand(BodyTrajectory):
         config: Motors of the simulated hand, which the kinematic hand reproduces.
 
     Attributes:
-        bodies: PyBullet body numbers; empty while the hand sleeps or is absent.
-        is_awake: Whether the hand is in the PyBullet simulation whenever it is present in the scene.
+        bodies: PyBullet body numbers; empty before the hand is woken and while it is absent.
+        is_awake: Whether the hand has been woken: it is in the PyBullet simulation whenever it is in the scene.
         reach: Upper bound (m) on the distance of any point of the hand from the origin of its wrist joints.
     """
 
@@ -158,17 +158,17 @@ class KinematicHand(BodyTrajectory):
         super().__init__(list_hand_motors(config), None)
 
     def reset(self, start: npt.NDArray[np.float32] | None) -> None:
-        """Set the hand to its joints (51,) (m, rad) at the start of a scene, asleep; None if it is absent at first."""
+        """Let the hand sleep at joints (51,) (m, rad) for the start of a scene; None if it is absent at first."""
         super().reset(start)
         self.remove()
         self.is_awake = False
 
     def wake(self, row: int) -> None:
-        """Mark the hand as awake, so that `move_bodies` adds its bodies to the simulation; `row` is not used."""
+        """Wake the hand: from now on, `move_bodies` puts its bodies into the simulation. `row` is not used."""
         self.is_awake = True
 
     def move_bodies(self, row: int) -> None:
-        """Move the hand's PyBullet bodies to their poses after step `row`; call it before that step is simulated."""
+        """Add, move or remove a woken hand's bodies for its state after step `row`; call it before that step."""
         if not self.is_awake:
             return
         if not self.is_present_after(row):

@@ -67,7 +67,7 @@ class BulletWorld(World):
         self._release_pending = True
 
     def read_state(self) -> WorldState:
-        """Return the current joints of robot and hand, and world poses of gripper and objects, float32."""
+        """Return the current state of robot, human hand and objects, float32."""
         panda = self._loaded_workcell.panda
         return WorldState.from_bodies(
             panda.read_joint_states(),
@@ -78,7 +78,7 @@ class BulletWorld(World):
         )
 
     def read_joint_snapshot(self) -> JointSnapshot:
-        """Return the current joint positions of robot (9,), hand (51,; None if absent) and objects (n, 6), float32."""
+        """Return the current joint positions of robot (9,), human hand (51,) or None, and objects (n, 6), float32."""
         robot = self._loaded_workcell.panda.read_joint_positions()
         return JointSnapshot(robot, self._read_hand_joints(), self._read_object_joints())
 
@@ -95,7 +95,7 @@ class BulletWorld(World):
 
     @abstractmethod
     def _read_object_joints(self) -> npt.NDArray[np.float32]:
-        """Return the joint positions (n, 6) of n objects: xyz (m), intrinsic XYZ Euler angles (rad), float32."""
+        """Return the joint positions (n, 6) of the objects: xyz (m), intrinsic XYZ Euler angles (rad), float32."""
 
     @abstractmethod
     def _read_object_poses(self) -> npt.NDArray[np.float32]:
@@ -103,11 +103,11 @@ class BulletWorld(World):
 
     @abstractmethod
     def _read_hand_joints(self) -> npt.NDArray[np.float32] | None:
-        """Return the joint positions (51,) of the hand (m, rad), float32; None if there is no hand."""
+        """Return the joint positions (51,) of the human hand (m, rad), float32; None if there is no hand."""
 
     @abstractmethod
     def _read_hand_keypoints(self) -> npt.NDArray[np.float32] | None:
-        """Return the world keypoints (16, 3) of wrist and fingers (m); None if there is no hand."""
+        """Return world positions (16, 3) of wrist and finger joints (m), float32; None if there is no human hand."""
 
     @property
     def _loaded_workcell(self) -> Workcell:
@@ -173,7 +173,7 @@ class BulletWorld(World):
 def _select_finger_points(
     links: tuple[int, int], poses: Points, points: list[tuple[Any, ...]]
 ) -> tuple[Points, Points]:
-    """Return the contact points (n, 3) on each of two Panda links, in the frame of that link (m), float32."""
+    """Return the points (n, 3) of PyBullet's contacts `points` on each of two Panda links, in that link's frame (m)."""
     on_links = [point for point in points if point[CONTACT_LINK_A] in links]
     if not on_links:
         return NO_POINTS, NO_POINTS

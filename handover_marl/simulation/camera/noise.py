@@ -52,7 +52,7 @@ CAMERA_NOISE_MODELS = {
 
 
 def resolve_camera_noise(camera_noise: str | CameraNoise | None) -> CameraNoise | None:
-    """Return the camera noise with a name, e.g. "realsense"; return a `CameraNoise` or None (no noise) unchanged."""
+    """Return the noise with a name of `CAMERA_NOISE_MODELS`; return a `CameraNoise` or None (no noise) unchanged."""
     if camera_noise is None or isinstance(camera_noise, CameraNoise):
         return camera_noise
     if isinstance(camera_noise, str):
@@ -66,11 +66,11 @@ def resolve_camera_noise(camera_noise: str | CameraNoise | None) -> CameraNoise 
 def apply_camera_noise(
     image: CameraImage, noise: CameraNoise, rng: np.random.Generator, camera: Pinhole = WRIST_CAMERA
 ) -> CameraImage:
-    """Return an image with depth noise and missing pixels added; the given image is not changed.
+    """Return a copy of an image with depth noise, and with pixels that lose their depth as background.
 
     Args:
         image: Noise-free image.
-        noise: Parameters of the noise.
+        noise: Parameters of the noise, of which the latency has no effect here.
         rng: Random generator; the number of its draws does not depend on the image's content.
         camera: Camera of the image.
     """
@@ -93,7 +93,7 @@ def apply_camera_noise(
 
 
 def _find_edges(depth: npt.NDArray[np.float32], threshold: float) -> npt.NDArray[np.bool_]:
-    """Return a mask (h, w) of the pixels whose depth differs from that of a neighbor by more than a threshold (m)."""
+    """Return a mask (h, w) of the pixels whose depth differs from a neighbor's depth by more than a threshold (m)."""
     cross = generate_binary_structure(2, 1)
     highest, lowest = maximum_filter(depth, footprint=cross), minimum_filter(depth, footprint=cross)
     is_edge: npt.NDArray[np.bool_] = (highest - depth > threshold) | (depth - lowest > threshold)

@@ -67,9 +67,9 @@ class Pinhole:
         principal: Principal point (column, row) in pixels from the center of the first pixel.
         near: Distance of the near plane (m).
         far: Distance of the far plane (m).
-        link: Link of the robot in whose frame the pose is; "" for the world frame.
+        link: Link of the robot in whose frame position and axes are; "" for the world frame.
         position: Position of the pinhole (m).
-        axes: Axes of the camera (right, down, ahead) as the columns of a matrix (3, 3).
+        axes: Axes of the camera (right, down, ahead) as the columns of a matrix (3, 3), which is stored row by row.
     """
 
     width: int
@@ -95,19 +95,19 @@ class Pinhole:
 
     @functools.cached_property
     def pixels(self) -> npt.NDArray[np.int64]:
-        """Numbers (h, w) of the pixels, row by row."""
+        """Numbers (h, w) of the pixels, counted row by row from 0."""
         return np.arange(self.n_pixels).reshape(self.height, self.width)
 
     @functools.cached_property
     def rays(self) -> Array:
-        """Directions (n, 3) of the rays of all n pixels, row by row, in the camera's frame, with z = 1."""
+        """Directions (n, 3) of the rays through all n pixels, row by row, in the camera's frame, scaled to z = 1."""
         columns, rows = np.meshgrid(np.arange(self.width), np.arange(self.height))
         right, down = ((at - c) / f for at, c, f in zip((columns, rows), self.principal, self.focal, strict=True))
         return np.stack([right, down, np.ones(right.shape)], axis=-1).reshape(-1, 3).astype(np.float32)
 
 
 def to_rows(axes: Float64Array) -> tuple[Vector3, Vector3, Vector3]:
-    """Return a matrix (3, 3) as the tuples of `Pinhole.axes`."""
+    """Return a matrix (3, 3) as a tuple of its rows, as in `Pinhole.axes`."""
     first, second, third = ((float(a), float(b), float(c)) for a, b, c in axes)
     return first, second, third
 
@@ -172,7 +172,7 @@ def make_camera_info(config: CameraConfig) -> CameraInfo:
 
 
 def describe_calibration(infos: Mapping[str, CameraInfo]) -> dict[str, Float64Array]:
-    """Return the matrices of cameras, by name, as in the infos of environments: "wrist_K", "wrist_extrinsics"."""
+    """Return the matrices of cameras, given by name, with the keys of environments' infos, e.g. "wrist_K"."""
     return {
         f"{name}_{key}": matrix
         for name, info in infos.items()
@@ -186,8 +186,8 @@ def deproject(
     """Compute the 3D points (n, 3) of the pixels of a depth image (h, w) where `mask` (h, w) is True.
 
     The depth is float32 along the viewing axis (m). The points are float32 in the frame of the camera's link or in the
-    world frame (m), in image order. `camera_model` is the deprojection model, one of `CAMERA_MODELS`; another name
-    raises `UnknownNameError`.
+    world frame (m), ordered row by row. `camera_model` is the deprojection model, one of `CAMERA_MODELS`; another
+    name raises `UnknownNameError`.
     """
     pixels = np.flatnonzero(mask)
     points: Array = compute_points(pixels, depth.ravel()[pixels], camera_model, camera)
@@ -197,9 +197,9 @@ def deproject(
 def compute_points(
     pixels: AnyArray, depth: AnyArray, camera_model: str = HANDOVERSIM_MODEL, camera: Pinhole = WRIST_CAMERA
 ) -> AnyArray:
-    """Compute the 3D points (..., 3) of pixels from their numbers in image order and their depths, both (...).
+    """Compute the 3D points (..., 3) of pixels from their numbers, counted row by row, and their depths, both (...).
 
-    Arguments and frame are as for `deproject`; `pixels` and `depth` are arrays or tensors.
+    Units, frame and other arguments are as for `deproject`; `pixels` and `depth` are arrays or tensors.
     """
     check_name("camera_model", camera_model, CAMERA_MODELS)
     xp = get_namespace(pixels)
@@ -220,7 +220,7 @@ def compute_points(
 
 
 def depth_from_buffer(buffer: Array, camera: Pinhole = WRIST_CAMERA) -> Array:
-    """Convert an OpenGL depth buffer to depth along the viewing axis (m), and buffer values of 1 to 0.
+    """Convert an OpenGL depth buffer (0 to 1) to depth along the viewing axis (m); a value of 1 becomes depth 0.
 
     The float32 operations are HandoverSim's.
     """

@@ -1,4 +1,4 @@
-"""Domain randomization of cameras: one draw for each camera and episode."""
+"""Domain randomization of cameras, drawn for each camera at the start of each episode."""
 
 import math
 from dataclasses import dataclass, replace
@@ -45,11 +45,11 @@ class CameraRandomization(CheckedConfig):
     latency: float = bounded(0.0, 0.0, 1.0)
 
     def combine(self, other: "CameraRandomization") -> "CameraRandomization":
-        """Combine this randomization with another one, with the larger of both values of each deviation."""
+        """Return a randomization that has, for each attribute, the larger value of this and another one."""
         return CameraRandomization(**{name: max(value, vars(other)[name]) for name, value in vars(self).items()})
 
     def draw(self, camera: Pinhole, noise: CameraNoise | None, rng: np.random.Generator) -> "CameraDraw":
-        """Draw the camera of one episode; `camera` is the configured one, and `noise` its noise, if it has any."""
+        """Draw the camera of one episode, given the configured camera and its noise (None for no noise)."""
         # The number of draws is always the same, so that a value does not depend on the other deviations.
         unit = rng.uniform(-1.0, 1.0, 30)
         share = rng.random(2)
@@ -87,11 +87,11 @@ CALIBRATION_ERRORS = {
 
 
 class CameraDraw(NamedTuple):
-    """Camera of one episode.
+    """Camera of one episode, as `CameraRandomization.draw` returns it.
 
     Attributes:
-        camera: The camera.
-        noise: Its noise; None for perfect images.
+        camera: Optics and pose of the camera.
+        noise: Noise of the camera; None for perfect images.
         gains: Factors (6, 3) of red, green and blue by segmentation label; None for no change.
     """
 
@@ -100,7 +100,7 @@ class CameraDraw(NamedTuple):
     gains: npt.NDArray[np.float64] | None
 
     def change_colors(self, image: CameraImage) -> CameraImage:
-        """Return an image with the colors of this camera; an image without colors is returned unchanged."""
+        """Return an image with its colors multiplied by `gains`; without colors or gains, return it unchanged."""
         if image.rgb is None or self.gains is None:
             return image
         rgb = np.minimum(image.rgb * self.gains.astype(np.float32)[image.segmentation], 255.0)

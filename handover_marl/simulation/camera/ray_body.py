@@ -29,10 +29,10 @@ _IS_HIGH = np.array(list(itertools.product((False, True), repeat=3)))
 
 
 class RayHits(NamedTuple):
-    """Hits of n rays on a mesh: the first front face that each ray hits. Rays without a hit are left out.
+    """Hits of rays on a mesh: the first front face that each ray hits. Only the n rays with a hit are listed.
 
     Attributes:
-        ray: (n,) numbers of the rays.
+        ray: (n,) indices of the rays.
         depth: (n,) float32 depths of the hits along the viewing axis (m).
         face: (n,) numbers of the mesh faces.
         weights: (n, 2) barycentric coordinates of the hits: weights of the faces' second and third vertex.
@@ -52,7 +52,7 @@ class RayMesh:
         faces: (f, 3) int32 vertex numbers, counterclockwise seen from outside.
 
     Attributes:
-        normals: (f, 3) outward normals with the length of twice the triangle's area.
+        normals: (f, 3) outward normals, each with twice the triangle's area as its length.
     """
 
     def __init__(self, vertices: Array, faces: npt.NDArray[np.int32]) -> None:

@@ -48,8 +48,8 @@ class PosedLink(NamedTuple):
 
     Attributes:
         body: The body.
-        number: Number of the link's mesh in the body.
-        owner: Number of the link in the scene.
+        number: Index of the link's mesh in `body.meshes`.
+        owner: Index of the link among all links of the scene.
         frame: Rotation (3, 3) and origin (3,) (m) of the mesh in the camera's frame, float32.
         rectangle: Pixels that may show the link: first column and the one after the last, then the same for rows.
     """
@@ -67,7 +67,7 @@ class PosedLink(NamedTuple):
 
 
 class Framebuffer:
-    """Depth of one image during ray casting, and the number of the link that each pixel shows.
+    """Depth of one image during ray casting, and the index (`PosedLink.owner`) of the link that each pixel shows.
 
     Pixels are numbered row by row. Colors are computed at the end, once for each pixel.
 
@@ -128,7 +128,7 @@ class Framebuffer:
         return is_below
 
     def make_image(self, links: Sequence[PosedLink]) -> CameraImage:
-        """Return the content of the framebuffer as an image; `links` are all links in the order of their numbers."""
+        """Return the content of the framebuffer as an image; `links` are all links, ordered by `PosedLink.owner`."""
         shape = self._camera.height, self._camera.width
         labels = np.array([*(link.body.label for link in links), *[SegmentationLabel.BACKGROUND] * 2], dtype=np.uint8)
         rgb = self._compute_colors(links).reshape(*shape, 3) if self._has_color else None
@@ -136,7 +136,7 @@ class Framebuffer:
         return CameraImage(self._depth.reshape(shape), labels.take(self._owner).reshape(shape), rgb)
 
     def _compute_colors(self, links: Sequence[PosedLink]) -> Colors:
-        """Return the colors (n, 3) of all pixels."""
+        """Return the colors (n, 3) of all n pixels, uint8, row by row."""
         # Three channels and an unused one in one 32-bit number, which is faster than three.
         colors = np.empty((len(self._owner), 4), np.uint8)
         packed = colors.view(np.uint32)[:, 0]
@@ -171,8 +171,8 @@ def _bound_boxes(camera: Pinhole, corners: Array) -> Rectangles:
     """Return the rectangles of pixels that contain n boxes, given their corners (n, 8, 3) in the camera's frame (m).
 
     Returns:
-        (n, 2, 2) first column and the one after the last, then the same for rows; empty for boxes outside the depth
-        range.
+        Bounds (n, 2, 2): first column and the one after the last, then the same for rows; empty ranges for boxes that
+        no pixel can show.
     """
     near = np.float32(camera.near)
     # Points of the edges in the near plane, if an edge crosses it.
@@ -193,7 +193,7 @@ def _bound_boxes(camera: Pinhole, corners: Array) -> Rectangles:
 
 
 def _compute_brightness(normals: npt.NDArray[np.floating]) -> Float64Array:
-    """Return the brightness (n,) of faces with normals (n, 3) in the world."""
+    """Return the brightness (n,) of faces with world normals (n, 3) of any length, see `optics.LIGHT`."""
     columns = normals.T
     length = np.maximum(np.sqrt(sum(column * column for column in columns)), 1e-12)
     unit = np.stack([column / length for column in columns], axis=1)
@@ -250,7 +250,7 @@ class RayCamera:
     def render_targets(
         self, snapshot: JointSnapshot, with_others: bool = False, camera: Pinhole = WRIST_CAMERA
     ) -> CameraImage:
-        """Render the visible pixels of target object and human hand at the joint positions of a snapshot.
+        """Render the visible pixels of target object and human hand, without colors, at the joints of a snapshot.
 
         With `with_others`, pixels of the other objects are rendered, too. All other pixels are background.
         """
@@ -287,7 +287,7 @@ class RayCamera:
     def _pose_links(
         self, snapshot: JointSnapshot, camera: Pinhole, view: tuple[Float64Array, Float64Array]
     ) -> list[PosedLink]:
-        """Return all links with meshes, target and hand first, in the frame of a camera with the pose `view`."""
+        """Return all links with meshes, target and hand first, in the frame of a camera with the world pose `view`."""
         bodies: list[PosedBody] = [(self._target, snapshot.objects[0])]
         bodies += [] if snapshot.hand is None else [(self._hand, snapshot.hand)]
         bodies += [(self._panda, snapshot.robot), *zip(self._other_objects, snapshot.objects[1:], strict=True)]

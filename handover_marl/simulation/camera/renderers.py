@@ -11,11 +11,11 @@ _RAY_MODULES = ("embreex", "trimesh")
 
 
 def resolve_renderer(name: str, physics: str) -> str:
-    """Return the renderer that a name stands for, "bullet" or "rays"; raise `OptionError` if it is not installed.
+    """Return the renderer that a name selects, "bullet" or "rays"; raise `OptionError` if it is not installed.
 
     Args:
         name: Name of the renderer or "auto", one of `RENDERERS`.
-        physics: Kind of physics, one of `PHYSICS`.
+        physics: Kind of physics, which decides for "auto": "exact", "fast" or "mujoco".
     """
     check_name("renderer", name, RENDERERS)
     renderer = (BULLET if physics == "exact" else RAYS) if name == "auto" else name

@@ -92,7 +92,7 @@ class MeshBuffers:
         return found
 
     def read_colors(self) -> None:
-        """Copy the colors of all meshes to the device, unless they are there."""
+        """Copy the textures and colors of all meshes to the device, unless they are there."""
         while self._uncolored:
             urdf, without = self._uncolored[0]
             for surface in read_surfaces(urdf, read_tree(urdf), without):
@@ -160,7 +160,7 @@ class WarpCamera:
         self._mesh_buffers: MeshBuffers | None = None
 
     def load_scene(self, row: int, assets: SceneAssets) -> None:
-        """Load the models of a scene into the world with number `row`."""
+        """Load the meshes and kinematics of a scene into the world with index `row`."""
         panda, table = self._config.panda, (*self._config.table_position, *IDENTITY[3:].tolist())
         robot_base = (*panda.base_position, *panda.base_orientation)
         self._robot[row], self._hand[row] = self._robots.add(assets.panda), self._hands.add(assets.hand)
@@ -203,7 +203,7 @@ class WarpCamera:
         """Render images of the worlds `rows` (r,) in `states` (r, ...).
 
         With `color`, images have the colors of the models' materials and textures in PyBullet's light. Only visible
-        pixels of bodies with `labels` are rendered, and those of the ground if `BACKGROUND` is one of these.
+        pixels of bodies with `labels` are rendered, and the ground if `labels` contains `BACKGROUND`.
         """
         if self._mesh_buffers is None:
             raise ResetNeededError("no world has a scene; call reset() first")
@@ -244,7 +244,7 @@ class WarpCamera:
             stream_id: Number that makes the random choice independent of choices with other numbers.
 
         Returns:
-            Numbers (r, limit) of the chosen pixels, ascending, then p, the number of all pixels, for missing ones.
+            Numbers (r, limit) of the chosen pixels, ascending. Missing ones have the value p, the number of pixels.
         """
         xp, segmentation, n_pixels = self._arrays.xp, images.segmentation, images.segmentation.shape[1]
         with self._device.use():
@@ -259,7 +259,7 @@ class WarpCamera:
             return found
 
     def close(self) -> None:
-        """Free the meshes; a world can be rendered again only after `load_scene`."""
+        """Free the meshes; each world can be rendered again only after its next `load_scene`."""
         self._device.synchronize()
         self._mesh_buffers = None
         self._slots = self._slots[:, :0]
@@ -305,7 +305,7 @@ class WarpCamera:
         return warp.from_torch(own.contiguous(), dtype)
 
     def _compute_frames(self, rows: AnyArray, states: WorldState) -> tuple[AnyArray, AnyArray]:
-        """Return origins (r, f, 3) and rotations (r, f, 3, 3) of the links, objects and the world, in the world."""
+        """Return world origins (r, f, 3) and rotations (r, f, 3, 3) of robot's and hand's links, objects and world."""
         xp = self._arrays.xp
         origins, rotations = self._robots.compute_link_frames(
             self._robot[rows], widen(states.robot_joint_position)[:, None]

@@ -103,7 +103,7 @@ def sample_texture(
     face: int,
     weights: warp.vec2,
 ) -> warp.vec3:
-    """Return the color, 0 to 255, of a point on a face, from its weights of corners 2 and 3; see `render_images`."""
+    """Return the color (0 to 255) of a face at `weights` of its corners 2 and 3; arrays are as in `render_images`."""
     origin, texture = corners[face, 0], textures[face]
     place = origin + weights[0] * (corners[face, 1] - origin) + weights[1] * (corners[face, 2] - origin)
     column = warp.min(int((place[0] - warp.floor(place[0])) * float(texture[1])), texture[1] - 1)
@@ -114,7 +114,7 @@ def sample_texture(
 
 @warp.func
 def shade(color: warp.vec3, normal: warp.vec3) -> warp.vec3:
-    """Return a color, 0 to 255, in the light that falls on a face with a unit normal in the world."""
+    """Return a color (0 to 255), multiplied by the brightness of a face with a unit normal in the world."""
     cosine = warp.dot(normal, _LIGHT)
     height = warp.max(2.0 * cosine * normal[2] - _LIGHT[2], 0.0)
     return (_AMBIENT + _DIFFUSE * warp.max(cosine, 0.0) + _SPECULAR * height * height) * color
@@ -143,14 +143,14 @@ def render_images(
     segmentation: warp.array2d[warp.uint8],
     rgb: warp.array3d[warp.uint8],
 ) -> None:
-    """Render w worlds, one thread per pixel: a wanted body where nothing occludes it, else ground or background.
+    """Render w worlds, one thread per pixel: an unoccluded body with a wanted label, else ground or background.
 
     Args:
         meshes: Identifiers (w, s) of the meshes; 0 for none.
         labels: Segmentation labels (w, s) of the meshes.
-        rotations: Rotation matrices (w, s) of the meshes.
-        origins: Origins (w, s) of the meshes.
-        spheres: Centers and radii (w, s) of bounding spheres of the meshes.
+        rotations: Rotation matrices (w, s) of the meshes in the camera's frame.
+        origins: Origins (w, s) of the meshes in the camera's frame.
+        spheres: Centers and radii (w, s) of bounding spheres of the meshes, in the camera's frame.
         first_faces: Number (w, s) of each mesh's first face among the f faces of all meshes.
         corners: Texture coordinates (f, 3) of the faces' corners; not used for images without colors.
         textures: First texel, width and height (f,) of each face's texture; not used for images without colors.

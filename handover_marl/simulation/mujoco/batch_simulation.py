@@ -1,4 +1,4 @@
-"""Data of worlds in MuJoCo, their simulation in batches, and forward kinematics of hands."""
+"""State and simulation of worlds in MuJoCo, batches that worlds share, and forward kinematics of human hands."""
 
 from collections import OrderedDict
 from pathlib import Path
@@ -44,8 +44,8 @@ class WorldData:
         mocap_pos: Positions (m, 3) of the mocap bodies (m).
         mocap_quat: Quaternions wxyz (m, 4) of the mocap bodies.
         sensordata: Data (s,) of the sensors in the last step.
-        step_state_size: Number p of the values of the state that a step changes: time, positions, velocities and warm
-            start.
+        step_state_size: Number p of values in the part of the state that a step changes: time, joint positions and
+            velocities, warm start.
     """
 
     def __init__(self, scene: SceneModel, batch: Batch) -> None:
@@ -63,7 +63,7 @@ class WorldData:
         self.step_state_size = int(mujoco.mj_stateSize(scene.model, _STEP_STATE))
 
     def select_model(self, hand_collides: bool) -> "mujoco.MjModel":
-        """Return the variant of the scene's model for the present `released`, with or without hand collisions."""
+        """Return the variant of the scene's model for the current `released`, with or without human-hand collisions."""
         key = self.released, hand_collides
         if key not in self._variants:
             self._variants[key] = select_variant(self.scene, *key)
@@ -76,10 +76,10 @@ class WorldData:
         self._forces[body, 2] = gravity * float(self.scene.model.body_mass[body])
 
     def simulate(self, hand_collides: bool, controls: Array, sensordata: Array, step_states: Array) -> None:
-        """Simulate k physics steps and write their results, without changing this state; `set_step` changes it.
+        """Simulate k physics steps from this state and write the results to arrays; only `set_step` changes the state.
 
         Args:
-            hand_collides: Whether the hand can collide in these steps.
+            hand_collides: Whether the human hand can collide in these steps.
             controls: Controls (k, c): actuator targets, mocap positions, mocap quaternions wxyz.
             sensordata: Array (k, s) to write the sensor data of each step to.
             step_states: Array (k, p) to write the changed part of the state after each step to.
@@ -138,7 +138,7 @@ class HandKinematics:
         self._bodies = np.asarray(links) + 2
 
     def compute_poses(self, joints: Array) -> tuple[Array, Array]:
-        """Compute base-frame positions (n, k, 3) in m and quaternions wxyz (n, k, 4) of the links at joints (n, d)."""
+        """Compute base-frame positions (n, k, 3) in m and quaternions wxyz (n, k, 4) of k links at joints (n, d)."""
         # Hands are often at rest: compute only the poses that differ from the step before.
         differs = np.ones(len(joints), dtype=bool)
         differs[1:] = (joints[1:] != joints[:-1]).any(axis=1)
@@ -172,7 +172,7 @@ def _compile_tree(urdf: Path) -> "mujoco.MjModel":
 
 
 class MujocoRollout(NamedTuple):
-    """Rollout of k physics steps of n worlds.
+    """Results of the simulation of n worlds for k physics steps.
 
     Attributes:
         controls: Controls (n, k, c) of all steps.
@@ -186,7 +186,7 @@ class MujocoRollout(NamedTuple):
 
 
 class SimulationCache:
-    """MuJoCo's batches and simulations of robots, which all worlds of a thread may share."""
+    """Cache of MuJoCo's batches and of robot-only simulations, which all worlds of a thread may share."""
 
     def __init__(self) -> None:
         configure_engine()
@@ -206,19 +206,19 @@ class SimulationCache:
         return WorldData(scene, batch)
 
     def get_robot_simulation(self, model: RobotOnlyModel) -> RobotOnlySimulation:
-        """Return the simulation of the robot without human hand and objects in a model; all worlds share it."""
+        """Return the simulation of a model of robot and table, made at the first call; all worlds share it."""
         if model not in self._robots:
             self._robots[model] = RobotOnlySimulation(model)
         return self._robots[model]
 
 
 def _get_layout(model: "mujoco.MjModel") -> tuple[int, ...]:
-    """Return the array sizes of a model; models that share a batch have equal ones."""
+    """Return the array sizes of a model, which are equal for models that share a batch."""
     return model.nq, model.nv, model.nu, model.nbody, model.ngeom, model.nbvh, model.nmocap, model.nsensordata
 
 
 def _accepts(batch: Batch, model: "mujoco.MjModel") -> bool:
-    """Set the model of a batch; return whether this succeeds, which needs equal array sizes."""
+    """Set the model of a batch and return True; return False if the batch is for other array sizes."""
     try:
         batch.set_models(model)
     except (ValueError, mujoco.FatalError):

@@ -1,4 +1,4 @@
-"""Smallest distance between the surfaces of robot and human hand, and its margin over required distances."""
+"""Smallest distance between robot and human hand during a motion, also relative to required distances."""
 
 from pathlib import Path
 
@@ -56,15 +56,15 @@ class ClearanceMonitor:
         hand_frames: tuple[Array, Array],
         required: Array | None = None,
     ) -> float:
-        """Compute the smallest margin over n times: distance of robot and human hand minus the required distance (m).
+        """Compute the smallest margin (m) in a motion: distance of robot and human hand minus the required distance.
 
-        The distance is 0 if robot and hand overlap. The result is at most 3 m.
+        The distance is 0 if robot and hand overlap, so a margin can be negative. The result is at most 3 m.
 
         Args:
-            robot: Joint positions (n, 9) of the Panda (rad, m).
-            hand: Joint positions (n, 51) of the hand (m, rad).
-            robot_frames: Link frames of the Panda at these joint positions, from `compute_link_trajectory`.
-            hand_frames: Link frames of the human hand at these joint positions, from `compute_link_trajectory`.
+            robot: Joint positions (n, 9) of the Panda at n times (rad, m).
+            hand: Joint positions (n, 51) of the human hand at these times (m, rad).
+            robot_frames: World frames of the Panda's links at these positions, from `compute_link_trajectory`.
+            hand_frames: World frames of the human hand's links at these positions, from `compute_link_trajectory`.
             required: Required distances (n,) in m, at least 0; None for zeros.
         """
         needed = np.zeros(len(robot)) if required is None else required
@@ -87,7 +87,7 @@ class ClearanceMonitor:
         return smallest
 
     def measure(self, robot: Array, hand: Array, max_distance: float) -> float:
-        """Measure the smallest distance between the surfaces (m), at most `max_distance`; 0 or negative on overlap.
+        """Measure the distance of robot and human hand (m), at most `max_distance`; 0 or negative if they overlap.
 
         Args:
             robot: Joint positions (9,) of the Panda (rad, m).
@@ -135,7 +135,7 @@ class _MovingSpheres:
             self._rotations = np.concatenate([self._rotations, np.zeros((count, 1, 9))], axis=1)
 
     def bound_motion(self, time: int, others: npt.NDArray[np.int_]) -> Array:
-        """Return upper bounds (k,) in m on how far a link point moves from index `time` to k indices `others`."""
+        """Return upper bounds (k,) in m on the motion of link points from time index `time` to k indices `others`."""
         shifts = np.linalg.norm(self.centers[others] - self.centers[time], axis=-1)
         # A rotation by an angle moves a point at distance r by 2 r sin(angle / 2).
         swings = np.linalg.norm(self._rotations[others] - self._rotations[time], axis=-1) / np.sqrt(2.0)
@@ -144,7 +144,7 @@ class _MovingSpheres:
 
 
 def _bound_distances(first: _MovingSpheres, second: _MovingSpheres) -> Array:
-    """Return lower bounds (n,) in m, at least 0, on the distance between two sets of moving spheres at n times."""
+    """Return the smallest distances (n,) in m, at least 0, between spheres of two moving sets at n times."""
     between = np.linalg.norm(first.centers[:, :, None] - second.centers[:, None], axis=-1)
     gaps: Array = (between - first.radii[:, None] - second.radii).min(axis=(1, 2))
     return np.maximum(gaps, 0.0)

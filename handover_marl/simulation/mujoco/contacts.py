@@ -1,7 +1,7 @@
 """Contact sensors of MuJoCo models, and conversion of their data to contacts.
 
 The length of MuJoCo's list of contacts changes from step to step and differs between worlds. Sensors inside the engine
-collect the data that the rules need in arrays of fixed shape. One world and many are therefore read in the same way.
+collect the strongest contacts in arrays of fixed shape. One world and many are therefore read in the same way.
 """
 
 import copy
@@ -93,8 +93,7 @@ class ContactSensors:
             columns = [model.sensor_adr[number] + np.arange(model.sensor_dim[number]) for number in found]
             return np.concatenate(columns or [[]]).astype(np.int_)
 
-        # A contact is force (3, the normal first), distance, position (3) and normal (3) from
-        # finger to object.
+        # A contact is force (3, the normal first), distance, position (3) and normal (3) from finger to object.
         points = np.stack([list_columns("touch/left"), list_columns("touch/right")]).reshape(2, _FINGER_SLOTS, -1)
         self._forces, self._distances = points[..., 0], points[..., 3]
         self._positions, self._normals = points[..., 4:7], points[..., 7:10]
@@ -120,7 +119,7 @@ class ContactSensors:
         Args:
             data: Sensor data (s,).
             qpos: Joint positions (q,) after the step.
-            released: Whether the person has released the object.
+            released: Whether the person has released the object; before, `object_supported` is False.
         """
         force, hand_forces = float(self._sum_robot_forces(data)), data[self._hand]
         touches_hand = bool((hand_forces > 0.0).any())
@@ -147,7 +146,7 @@ class ContactSensors:
         Args:
             data: Sensor data (k, n, s).
             qpos: Joint positions (k, n, q) after the steps.
-            rules: Bounds of the grasp region of the fingers.
+            rules: Rules of the protocol, of which only the grasp region of the fingers is used.
         """
         xp, touching = get_namespace(data), self._sum_robot_forces(data) > 0.0
         fingers, inside = (xp.zeros_like(data[..., :2], dtype=xp.bool) for _ in range(2))
@@ -169,13 +168,13 @@ class ContactSensors:
         )
 
     def find_touching_fingers(self, data: AnyArray) -> AnyArray:
-        """Return whether the left and the right finger touch the target object, (..., 2), in sensor data (..., s)."""
+        """Return from sensor data (..., s) whether the left and the right finger touch the target object, (..., 2)."""
         return get_namespace(data).any(data[..., self._forces] > 0.0, axis=-1)
 
     def compute_finger_points(self, data: AnyArray) -> AnyArray:
-        """Compute the points (..., 2, 8, 3) of 8 contacts of each finger with the object from sensor data (..., s).
+        """Compute the points (..., 2, 8, 3) of up to 8 contacts of each finger with the object from data (..., s).
 
-        Points are in the frame of the finger (m), float32; points without a force are invalid.
+        Points are in the frame of the finger (m), float32. Points of contacts without a normal force are invalid.
         """
         frames = data[..., self._frames]
         origins, columns = frames[..., :3], frames[..., 3:].reshape(*frames.shape[:-1], 3, 3)
@@ -193,7 +192,7 @@ class ContactSensors:
         return xp.astype(local, xp.float32)
 
     def _sum_robot_forces(self, data: AnyArray) -> AnyArray:
-        """Return the sums (...) of the normal forces between robot and target object (N) in sensor data (..., s)."""
+        """Return the sum (...) of up to 12 normal forces between robot and target object (N) in data (..., s)."""
         if is_tensor(data):
             return data[..., self._robot].sum(-1)
         force = np.zeros(data.shape[:-1])

@@ -18,9 +18,9 @@ ABSENT = (0.0, 0.0, -10.0)
 
 
 def compute_controls(worlds: Sequence[WorldData], targets: Array, objects: npt.NDArray[np.float32]) -> Array:
-    """Compute the controls (w, n, c) of w worlds in n steps.
+    """Compute the controls (w, n, c) of w worlds in n steps, apart from the human hands.
 
-    Controls are actuator targets, then mocap positions and mocap quaternions wxyz. The positions of the human hand's
+    Controls are actuator targets, then mocap positions (m) and mocap quaternions wxyz. The positions of the hands'
     bodies are undefined until `place_hand` writes them.
 
     Args:
@@ -46,13 +46,13 @@ def compute_controls(worlds: Sequence[WorldData], targets: Array, objects: npt.N
 def count_hand_free_steps(
     worlds: Sequence[WorldData], robots: Sequence[RobotOnlySimulation], targets: Array, wrists: Array
 ) -> npt.NDArray[np.int_]:
-    """Return the number (w,) of next steps in which the hand of each world cannot touch the robot.
+    """Return the number (w,) of next steps in which the human hand of each of w worlds cannot touch the robot.
 
     Args:
         worlds: States of the worlds.
         robots: Simulations of the robots without hand and objects.
         targets: Joint targets (w, 9) of the robots (rad, m).
-        wrists: Positions (w, n, 3) of the wrists in the coming steps (m).
+        wrists: World positions (w, n, 3) of the wrists after each of n coming steps (m); inf without a hand.
     """
     scene = worlds[0].scene
     joints = np.array([one.qpos[scene.robot_qpos] for one in worlds])
@@ -70,20 +70,20 @@ def count_hand_free_steps(
 def place_hand(
     hand: BodyTrajectory, row: int, kinematics: HandKinematics, free_steps: int, positions: Array, quaternions: Array
 ) -> int:
-    """Write the world poses of the human hand's k bodies in the n steps after `row` to arrays.
+    """Write the world poses of the human hand's k bodies in the n steps after `row` to `positions` and `quaternions`.
 
     In steps in which the hand is absent or cannot touch the robot, the positions are `ABSENT`, far away.
 
     Args:
         hand: Trajectory of the hand.
-        row: Last simulated row of the reference motion, n steps before its end.
+        row: Last simulated step of the reference motion, -1 for none; n steps are left.
         kinematics: Kinematics of the hand's bodies.
         free_steps: Number of coming steps in which the hand cannot touch the robot.
         positions: Array (n, k, 3) to write positions to (m).
         quaternions: Array (n, k, 4) to write quaternions wxyz to.
 
     Returns:
-        Number of steps before the first one with the hand; in these steps, the hand cannot have contacts.
+        Number of steps, at least `free_steps`, before the first one in which the hand may touch the robot.
     """
     positions[:free_steps] = ABSENT
     if free_steps >= len(positions):

@@ -58,9 +58,9 @@ def bullet_xyzw_from_wxyz(wxyz: AnyArray) -> AnyArray:
 
 
 def chain_joints_from_poses(poses: Array, reference: npt.NDArray[np.floating]) -> Array:
-    """Convert poses (n, 7) of objects, xyz (m) and quaternions wxyz, to joints (n, 6): xyz, XYZ Euler angles (rad).
+    """Convert poses (n, 7) of objects, xyz (m) and quaternions wxyz, to joints (n, 6): xyz (m), XYZ Euler angles (rad).
 
-    Of equivalent angles, the nearest to the joint positions `reference` (n, 6) are taken.
+    Of equivalent angles, those nearest to the angles of the joint positions `reference` (n, 6) are returned.
     """
     angles = euler_from_quaternions(poses[:, 3:][:, XYZW])
     return np.concatenate([poses[:, :3], find_nearest_euler(angles, np.asarray(reference[:, 3:], np.float64))], axis=1)

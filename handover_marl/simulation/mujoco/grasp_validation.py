@@ -1,8 +1,8 @@
 """Validation of grasps in simulation: a Panda hand without arm closes on an object and shakes it.
 
-Shapes, actuators and friction are the same as in scenes. Instead of the hand, the direction of gravity changes, which
-is equivalent in the frame of a hand that moves without rotation. At the start, the object's frame is the world frame.
-Grasps are poses (4, 4) of the gripper in the object's frame.
+Shapes, actuators and friction are the same as in scenes. The Panda hand rests, and the object is shaken by forces in
+changing directions, as in the frame of a hand that shakes without rotation. At the start, the object's frame is the
+world frame. Grasps are poses (4, 4) of the gripper in the object's frame.
 """
 
 import itertools
@@ -38,8 +38,7 @@ from handover_marl.simulation.world import find_points_in_grasp_region
 Array = npt.NDArray[np.float64]
 
 _OBJECT = format_object_name(0)
-# Grasp files rotate the hand by 90 degrees about its approach axis: the fingers close along the
-# gripper frame's x.
+# Grasp files rotate the hand by 90 degrees about its approach axis: the fingers close along the gripper frame's x.
 _GRIPPER_FROM_HAND = np.rint(Rotation.from_quat(GRIPPER_FROM_HAND[3:]).as_matrix())
 
 
@@ -112,7 +111,7 @@ class GraspValidator:
         self._pairs = list(itertools.product(hand.tolist(), np.flatnonzero(model.geom_bodyid == self._body).tolist()))
 
     def is_collision_free(self, object_from_gripper: npt.ArrayLike) -> bool:
-        """Return whether the open Panda hand is clear of the object at all configured distances from a grasp.
+        """Return whether the open Panda hand does not touch the object at any standoff distance before a grasp.
 
         The grasp (4, 4) is the pose of the gripper in the object's frame.
         """
@@ -125,7 +124,7 @@ class GraspValidator:
         return True
 
     def is_stable(self, object_from_gripper: npt.ArrayLike) -> bool:
-        """Return whether the Panda hand at a grasp holds the object while it is shaken.
+        """Return whether the Panda hand at a grasp holds the object while the fingers close and while it is shaken.
 
         The grasp (4, 4) is the pose of the gripper in the object's frame.
         """
@@ -146,8 +145,8 @@ class GraspValidator:
     def measure_release_slip(self, object_from_gripper: npt.ArrayLike, held_time: float, free_time: float) -> float:
         """Measure the object's displacement relative to the fingers (m) after a person releases it.
 
-        In a scene a person holds the object while the fingers close and releases it 0.1 s later. An
-        object that only the edge of a finger touches slips away then.
+        In a scene, a person holds the object while the fingers close, and releases it 0.1 s later. An object that only
+        the edge of a finger touches slips away then. Here, the configured `acceleration` is gravity, along -z.
 
         Args:
             object_from_gripper: Grasp, the pose (4, 4) of the gripper in the object's frame.
@@ -155,7 +154,7 @@ class GraspValidator:
             free_time: Time after the release (s).
 
         Returns:
-            Displacement (m); infinity if a finger does not touch the object in the end.
+            Displacement (m); infinity if in the end a finger does not touch the object inside its grasp region.
         """
         grasp = np.asarray(object_from_gripper, dtype=np.float64)
         self._reset(grasp)
@@ -213,7 +212,7 @@ class GraspValidator:
         return all(find_points_in_grasp_region(own, ProtocolConfig()).any() for own in points)
 
     def _read_gripped_pose(self, grasp: Array) -> Array:
-        """Return the pose (7,) of the object's gripped point relative to the fingers, quaternion xyzw.
+        """Return the position (m) of the object's gripped point and its orientation xyzw, (7,), without finger drift.
 
         At the start that point is in the middle between the finger pads. The finger motors are independent, as in
         HandoverSim: closed fingers may drift sideways together and take the object along, which is no slip.

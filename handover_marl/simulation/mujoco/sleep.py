@@ -49,10 +49,10 @@ class RobotTrajectory:
 
 
 class RobotOnlySimulation:
-    """Simulation of the robot without hand and objects in MuJoCo, with a cache of rollouts.
+    """Simulation of the robot without human hand and objects in MuJoCo, with a cache of trajectories.
 
-    Most episodes start with the same motion from the initial pose to the waiting pose. Equal states
-    and targets give bit-equal motions, so the cache does not change results.
+    Most episodes start with the same motion from the initial pose to the waiting pose. Equal states and targets give
+    bit-equal motions, so the cache does not change results.
 
     Args:
         model: Model of robot and table.
@@ -65,7 +65,7 @@ class RobotOnlySimulation:
         self._cache: OrderedDict[tuple[bytes, int], RobotTrajectory] = OrderedDict()
 
     def compute_body_poses(self, joints: Array) -> tuple[Array, Array]:
-        """Compute world positions (b, 3) in m and quaternions wxyz (b, 4) of all bodies at nine joints (rad, m).
+        """Compute world positions (b, 3) in m and quaternions wxyz (b, 4) of the b bodies at nine joints (rad, m).
 
         The arrays are valid until the next call.
         """
@@ -79,7 +79,7 @@ class RobotOnlySimulation:
         """Simulate up to 32 robots, and return their trajectories.
 
         Args:
-            starts: Previous trajectory of each robot, and the row in it from which the robot starts.
+            starts: For each robot, a trajectory, and the index of its state from which the robot starts.
             targets: Nine joint targets of each robot (rad, m).
             steps: Number of steps to simulate.
         """
@@ -127,7 +127,7 @@ class SleepState:
         robot_joints: Nine joint positions of the robot at the start (rad, m).
 
     Attributes:
-        objects: Trajectories of the objects.
+        objects: Trajectories of the objects, the target first.
     """
 
     def __init__(
@@ -156,13 +156,13 @@ class SleepState:
         targets: Sequence[list[float]],
         hands: Sequence[BodyTrajectory],
     ) -> None:
-        """Simulate the robots alone to the end of their reference motions; store when a body is first near each robot.
+        """Simulate the robots alone to the end of the reference motions; store when a body is first near each robot.
 
         A body is near if the sphere around it is less than 3 cm from a sphere around a link of the robot.
 
         Args:
             worlds: Sleeping worlds, at most 32.
-            rows: First step of each reference motion to simulate.
+            rows: Index of the first step to simulate in the reference motion of each world.
             targets: Nine joint targets of each robot (rad, m).
             hands: Trajectory of each human hand under its current reference motion.
         """
@@ -184,11 +184,11 @@ class SleepState:
                 world._robot, world._first_row, world._n_free_steps = robot, row, count
 
     def count_free_steps(self, row: int) -> int:
-        """Return the number of steps from `row` on before a body comes near the robot; call `simulate_robots` first."""
+        """Return the number of steps from step `row` on before a body is near the robot; see `simulate_robots`."""
         return self._n_free_steps - (row - self._first_row)
 
     def write_state(self, row: int, qpos: Array, qvel: Array) -> None:
-        """Write positions of robot and objects, and velocities of the robot, after step `row` to `qpos` and `qvel`."""
+        """Write joint positions of robot and objects after step `row` to `qpos`, the robot's velocities to `qvel`."""
         scene, done = self._scene, row + 1 - self._first_row
         qpos[scene.robot_qpos], qvel[scene.robot_qvel] = self._robot.joints[done], self._robot.velocities[done]
         qpos[scene.object_qpos] = self._compute_object_poses(row).ravel()

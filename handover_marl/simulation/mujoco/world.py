@@ -40,11 +40,11 @@ _ROLLOUT_STEPS = 100
 class MujocoWorld(World):
     """World simulated by MuJoCo, alone or in a batch with other worlds.
 
-    The hand follows its reference kinematically, as in `FastWorld` of PyBullet.
+    The human hand follows its reference motion kinematically, as in `FastWorld` of PyBullet.
 
     Until a body comes near the robot, or the target object is released, the world sleeps: the robot is simulated
-    alone, and objects follow their reference. The attributes describe the current episode; row k is step k of the
-    current reference motion, and row -1 the state before its first step.
+    alone, and objects follow their reference motions. The attributes describe the current episode; row k is step k of
+    the current reference motion, and row -1 the state before its first step.
 
     Args:
         config: Constants of the world.
@@ -53,15 +53,15 @@ class MujocoWorld(World):
 
     Attributes:
         robot: Simulation of the robot without hand and objects.
-        hand: Trajectory of the hand under the current reference, valid after `track_worlds`.
-        hand_kinematics: Kinematics of the hand's bodies in the model.
+        hand: Trajectory of the human hand under the current reference motion, valid after `track_worlds`.
+        hand_kinematics: Forward kinematics of the hand's bodies in the MuJoCo model.
         sleep_state: Sleep state of the world, which `prepare_worlds` may end; None once the world is awake.
         reference: Current reference motion.
         row: Last simulated row of the reference motion.
         robot_target: Nine joint targets of the robot (rad, m) for which the coming steps were prepared; None if they
             must be prepared anew.
-        is_tracked: Whether the trajectories of hand and sleeping objects are those under the current reference.
-        controls: Computed controls (n, c) of n steps from `controls_row` on.
+        is_tracked: Whether the trajectories of hand and sleeping objects are computed for the current reference motion.
+        controls: Controls (n, c) of n steps from `controls_row` on, as `compute_controls` computes them.
         controls_row: Row of the reference motion at which `controls` starts.
         hand_free_steps: Number of steps from `controls_row` on in which the hand cannot touch the robot.
     """
@@ -87,7 +87,7 @@ class MujocoWorld(World):
         return self._data
 
     def reset(self, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
-        """Load a scene; set hand and objects to the only row of `start`, and the robot to nine joints (rad, m)."""
+        """Load a scene; set human hand and objects to the only row of `start`, the robot to nine joints (rad, m)."""
         model, cache = load_scene_model(scene.assets, self._config), self._cache
         data, hand_joints = cache.load_scene(model), start.hand[0] if start.hand_present[0] else None
         self.robot, urdf = cache.get_robot_simulation(model.robot_only), scene.assets.hand
@@ -105,7 +105,7 @@ class MujocoWorld(World):
         self._data, self._scene = data, scene
 
     def set_reference(self, motion: ReferenceMotion) -> None:
-        """Set the joint targets of hand and objects for the coming physics steps; row k of `motion` is for step k."""
+        """Set the joint targets of human hand and objects in the coming steps; row k of `motion` is for step k."""
         # Trajectories continue from the end of the last reference.
         track_worlds([self])
         self._set_state()
@@ -119,7 +119,7 @@ class MujocoWorld(World):
         self.keep_steps(simulate_worlds([self], 1), 0, 1)
 
     def rollout(self, robot_target: list[float], steps: int, judge: JudgeFunction, rules: ProtocolConfig) -> int:
-        """Simulate up to `steps` physics steps in one call; return the number of simulated steps."""
+        """Simulate up to `steps` physics steps in one call; return their number, see `World.rollout`."""
         return int(rollout_worlds([self], [robot_target], steps, judge, rules)[0])
 
     @property
@@ -132,19 +132,19 @@ class MujocoWorld(World):
 
     @property
     def remaining_steps(self) -> int:
-        """Largest number of steps that can be simulated at once; for a sleeping world, call `prepare_worlds` first."""
+        """Number of steps before the reference motion ends or the sleeping world wakes; call `prepare_worlds` first."""
         left = len(self.reference.objects) - (self.row + 1)
         return left if self.sleep_state is None else min(left, self.sleep_state.count_free_steps(self.row + 1))
 
     def apply_release(self) -> None:
-        """Make a pending release of the object effective, which wakes the world."""
+        """Carry out a release that `release_target` has requested, if there is one; it wakes the world."""
         if self._release_pending:
             self.wake()
             self.data.release_object(self._config.gravity)
             self._release_pending = False
 
     def wake(self) -> None:
-        """Wake the world: robot and objects are simulated together from the coming step on."""
+        """Wake the world, if it sleeps: robot and objects are simulated together from the coming step on."""
         if self.sleep_state is not None:
             self._set_state()
             self.data.qvel[self.data.scene.object_qvel] = self.sleep_state.compute_object_velocities(self.row).ravel()
@@ -155,14 +155,14 @@ class MujocoWorld(World):
         self._release_pending = True
 
     def read_contacts(self, released: bool) -> Contacts:
-        """Return the contacts of the last step; `released` adds those between the target and table or other objects."""
+        """Return the contacts of the last step; read those of the target with table and objects only if `released`."""
         if self.sleep_state is not None:
             return Contacts()
         data = self.data
         return data.scene.contact_sensors.compute_contacts(data.sensordata, data.qpos, released)
 
     def read_state(self) -> WorldState:
-        """Return the current joints of robot and hand, and world poses of gripper and objects, float32."""
+        """Return the current state of robot, human hand and objects, float32."""
         self._set_state()
         data, scene, hand = self.data, self.data.scene, self._get_hand_joints()
         positions, quaternions = self.robot.compute_body_poses(data.qpos[scene.robot_qpos])
@@ -186,7 +186,7 @@ class MujocoWorld(World):
         return joints
 
     def read_joint_snapshot(self) -> JointSnapshot:
-        """Return the current joint positions of robot (9,), hand (51,; None if absent) and objects (n, 6), float32."""
+        """Return the current joint positions of robot (9,), human hand (51,) or None, and objects (n, 6), float32."""
         robot, hand = self.read_joints_float64().astype(np.float32), self._get_hand_joints()
         poses = self.data.qpos[self.data.scene.object_qpos].reshape(-1, 7)
         self._object_joints = chain_joints_from_poses(poses, self._object_joints)
@@ -199,13 +199,13 @@ class MujocoWorld(World):
         self._data = self.sleep_state = None
 
     def keep_steps(self, rollout: MujocoRollout | None, number: int, steps: int) -> None:
-        """Set the world to its state after `steps` (1 or more) steps of a rollout, in which its index is `number`."""
+        """Set world `number` of a rollout (None for a sleeping world) to its state after 1 or more `steps` of it."""
         if rollout is not None:
             self.data.set_step(*(array[number, steps - 1] for array in rollout))
         self.row, self._is_state_set = self.row + steps, self.sleep_state is None
 
     def _set_state(self) -> None:
-        """Write the joint state of a sleeping world to `data`, which steps of a sleeping world do not update."""
+        """Write the joint state of a sleeping world to `data`, which its steps do not update."""
         if self.sleep_state is not None and not self._is_state_set:
             self.sleep_state.write_state(self.row, self.data.qpos, self.data.qvel)
             self._is_state_set = True
@@ -216,17 +216,17 @@ class MujocoWorld(World):
         return self.hand.get_joints(self.row) if self.hand.is_present_after(self.row) else None
 
     def get_coming_controls(self, steps: int) -> Array:
-        """Return the computed controls (steps, c) of the next `steps` steps."""
+        """Return the part (steps, c) of the attribute `controls` for the next `steps` steps."""
         first = self.row + 1 - self.controls_row
         return self.controls[first : first + steps]
 
     def can_touch_hand(self, steps: int) -> bool:
-        """Return whether the hand can touch the robot within the next `steps` steps."""
+        """Return whether the human hand can touch the robot within the next `steps` steps."""
         return self.row + 1 - self.controls_row + steps > self.hand_free_steps
 
 
 def track_worlds(worlds: Sequence[MujocoWorld]) -> None:
-    """Compute the trajectories of hands and sleeping objects in the worlds that have a new reference motion."""
+    """Compute the trajectories of hands and sleeping objects in those worlds that have a new reference motion."""
     behind = [world for world in worlds if not world.is_tracked]
     hands = [(one.hand, one.reference.hand, one.reference.hand_present) for one in behind]
     objects = [
@@ -262,9 +262,9 @@ def _update_sleep(worlds: Sequence[MujocoWorld], robot_targets: Sequence[list[fl
 
 
 def prepare_worlds(worlds: Sequence[MujocoWorld], robot_targets: Sequence[list[float]]) -> None:
-    """Prepare worlds for their next step; compute the controls of their remaining steps if targets have changed.
+    """Prepare worlds for their next steps: compute controls or, in sleeping worlds, robot motions for changed targets.
 
-    Pending releases become effective, and sleeping worlds wake if a body comes near the robot.
+    Requested releases are carried out, and sleeping worlds wake if a body comes near the robot.
 
     Args:
         worlds: Worlds with a scene.
@@ -295,9 +295,9 @@ def prepare_worlds(worlds: Sequence[MujocoWorld], robot_targets: Sequence[list[f
 
 
 def simulate_worlds(worlds: Sequence[MujocoWorld], steps: int) -> MujocoRollout | None:
-    """Simulate the next `steps` steps of prepared worlds with one `rollout_key`; none may have fewer `remaining_steps`.
+    """Simulate `steps` steps, at most the `remaining_steps`, of prepared worlds with equal `rollout_key`s.
 
-    The worlds keep their states until `MujocoWorld.keep_steps`. The rollout of sleeping worlds is None.
+    The worlds keep their states until `MujocoWorld.keep_steps`. The result is None for sleeping worlds.
     """
     if worlds[0].sleep_state is not None:
         return None
@@ -310,7 +310,7 @@ def simulate_worlds(worlds: Sequence[MujocoWorld], steps: int) -> MujocoRollout 
 
 
 def _split(numbers: list[int]) -> list[list[int]]:
-    """Split the numbers of worlds into lists of at most 32, the most that one call simulates."""
+    """Split the indices of worlds into lists of at most 32, the largest number of worlds that one call simulates."""
     return [numbers[first : first + MAX_WORLDS] for first in range(0, len(numbers), MAX_WORLDS)]
 
 
@@ -323,8 +323,8 @@ def rollout_worlds(
 ) -> npt.NDArray[np.int_]:
     """Simulate n worlds for `steps` steps, or until their episodes end; return step counts (n,).
 
-    The worlds must have reference motions. `robot_targets` has nine joint targets (rad, m; float32 values) for each
-    world. `judge` and `rules` are as in `MujocoWorldBatch.rollout`.
+    The worlds must have reference motions of at least `steps` steps. `robot_targets` has nine joint targets (rad, m;
+    float32 values) for each world. `judge` and `rules` are as in `MujocoWorldBatch.rollout`.
     """
     simulated, running = np.zeros(len(worlds), dtype=np.int_), np.ones(len(worlds), dtype=bool)
     while rows := np.flatnonzero(running & (simulated < steps)).tolist():
@@ -372,7 +372,7 @@ class MujocoWorldBatch:
         self._n_objects = [0] * count
 
     def reset(self, row: int, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
-        """Load a scene into the world with index `row`, and set all bodies to their start; see `World.reset`."""
+        """Load a scene into the world with index `row`, and set all its bodies to their start; see `World.reset`."""
         self._worlds[row].reset(scene, start, robot_joints)
         self._n_objects[row] = start.objects.shape[1]
 
@@ -388,10 +388,10 @@ class MujocoWorldBatch:
 
         Args:
             rows: Indices (r,) of worlds of running episodes.
-            reference: Joint targets of hands and objects of these worlds in k steps.
+            reference: Joint targets of human hands and objects of these r worlds in k steps.
             robot_targets: Joint targets (r, 9) of the Pandas (rad, m).
-            judge: Function that applies the rules of release and end to the contacts of some of the r worlds.
-            rules: Bounds of the grasp region of the fingers.
+            judge: Function that applies the rules of release and end to contacts; its indices are from 0 to r - 1.
+            rules: Rules of the protocol, of which only the grasp region of the fingers is used here.
 
         Returns:
             Number (r,) of simulated steps of each world.
@@ -418,7 +418,7 @@ class MujocoWorldBatch:
         )
 
     def read_contacts(self, row: int, released: bool) -> Contacts:
-        """Return the contacts of world `row` in its last step, as `World.read_contacts` does."""
+        """Return the contacts of world `row` in its last step; `released` is as in `World.read_contacts`."""
         return self._worlds[row].read_contacts(released)
 
     def close(self) -> None:

@@ -1,10 +1,10 @@
-"""Data for imitation of a planning expert: its plans, and observed states with its goals as labels.
+"""Data for imitation of a planning expert: the expert's plans, and observed states with its goals as labels.
 
 Rollouts follow GA-DDPG's protocol without physics: the object rests, the arm lags behind its targets, and the wrist
 camera is rendered by ray casting. The memory of point clouds, their resampling, the counter of decisions and the rule
-that ends an approach are the same as in the receiver. The expert acts at first, in some decisions with noise, and then
-the network acts (DAgger; Ross et al., AISTATS 2011). Every observation becomes a state with the expert's goal as its
-label.
+that ends an approach are the same as in the receiver `gaddpg`. In the first round of the training the expert acts, in
+some decisions with noise; later the network acts (DAgger; Ross et al., AISTATS 2011). Every observation becomes a state
+with the expert's goal as label.
 """
 
 import functools
@@ -57,8 +57,8 @@ class ImitationStates(NamedTuple):
     """Arrays of S imitation states: observed point clouds, labelled with the grasps that the expert approaches.
 
     Attributes:
-        points: (S, 1024, 3) points of the object in the hand link's frame (m), as input of the network; the last ones
-            repeat others if the cloud has fewer points.
+        points: (S, 1024, 3) points of the object in the hand link's frame (m); the last ones repeat others if the cloud
+            has fewer points.
         goals: (S, 7) poses of the hand link at the grasp, in the present frame of the hand link, quaternions xyzw.
         remaining: (S,) numbers of decisions that remain in the approach.
     """
@@ -87,7 +87,7 @@ class DataGenerator:
         self._load_assets = functools.cache(self._read_assets)
 
     def plan(self, number: int) -> ExpertPlan:
-        """Return the expert's plan in scenario `number`; it has no goals if planning fails, see `GraspExpert.plan`."""
+        """Return the expert's plan in the scenario with the number `number`; it has no goals if planning fails."""
         return self._expert.plan(self._scenarios.sample(number))
 
     def collect_states(
@@ -99,7 +99,8 @@ class DataGenerator:
             number: Number of the scenario.
             plan: Plan of the expert in the scenario.
             repetition: Index of the rollout among those of the scenario, which seeds its random numbers.
-            policy: Function of the network that acts, in some rollouts after the expert; None lets the expert act.
+            policy: Function of the network that acts; in half of the rollouts the expert makes up to ten decisions
+                before. None lets the expert act alone.
         """
         rng, scenario = np.random.default_rng((self._seed, repetition, number)), self._scenarios.sample(number)
         joints, memory = scenario.joints, PointCloudMemory(seed=int(rng.integers(2**31)))
@@ -134,7 +135,7 @@ class DataGenerator:
         return stack_samples(ImitationStates, states, columns)
 
     def _render_points(self, camera: RayCamera, scenario: ImitationScenario, joints: Array, hand: Array) -> Any:
-        """Return the object's visible points (n, 3) in the frame (m) of the hand link, whose world pose is `hand`."""
+        """Return the object's visible points (n, 3) in the frame of the hand link (m), whose world pose is `hand`."""
         robot = np.array([*joints, OPEN, OPEN], dtype=np.float32)
         image = camera.render_targets(JointSnapshot(robot, None, scenario.dof[None]))
         points = deproject(image.depth, image.compute_mask(SegmentationLabel.TARGET))

@@ -217,7 +217,10 @@ class ExpertPlan(NamedTuple):
     trajectory: Array
 
     def choose_goal(self, hand: Array) -> Array:
-        """Return the goal (7,) that is cheapest to reach from a world pose (7,), quaternion xyzw, of the hand link."""
+        """Return the goal (7,) of lowest cost from a world pose `hand` (7,), quaternion xyzw, of the hand link.
+
+        The distance from `hand` adds to the costs. The planner's goal is replaced only if another is 0.03 m cheaper.
+        """
         costs = self.costs + compute_grasp_distances(hand, self.goals, _ROTATION_COST, PAD_DISTANCE)
         costs[0] -= _SWITCH_MARGIN
         return np.asarray(self.goals[int(np.argmin(costs))])
@@ -227,7 +230,7 @@ _NO_PLAN = ExpertPlan(np.zeros((0, 7)), np.zeros(0), np.zeros((0, ARM_DOF)))
 
 
 class GraspExpert:
-    """Planner of the motions that the network of the receiver `gaddpg` imitates, and model of the arm that makes them.
+    """Expert that the network of the receiver `gaddpg` imitates: planner of grasps and motions, and model of the arm.
 
     Args:
         context: Robot, and objects with their known grasps.
@@ -264,7 +267,7 @@ class GraspExpert:
     def compute_step(self, hand: Array, goal: Array, remaining: int) -> Array:
         """Return the motion (6,) of the Panda's hand link that one decision commands towards a goal grasp.
 
-        The motion is a translation (m) and extrinsic xyz Euler angles (rad) in the hand link's frame.
+        It consists of a translation (m) and extrinsic xyz Euler angles (rad) in the hand link's frame.
 
         Args:
             hand: (7,) present world pose of the hand link, quaternion xyzw.
@@ -290,8 +293,8 @@ class GraspExpert:
         """Return at most four reachable grasps of lowest cost, and their costs.
 
         Returns:
-            (g, 7) world poses of the hand link, quaternions xyzw, cheapest first, and (g,) costs (m). The order counts
-            the distance from the present pose, the costs do not.
+            (g, 7) world poses of the hand link, quaternions xyzw, cheapest first, and (g,) costs (m). The order
+            includes the distance from the present pose, the costs do not.
         """
         joints, names = scenario.joints, self._context.object_names
         (object_class,) = (number for number, name in names.items() if name == scenario.object_name)
@@ -315,7 +318,10 @@ class GraspExpert:
         return world[order], costs[order] - compute_grasp_distances(hand, world[order], _ROTATION_COST, PAD_DISTANCE)
 
     def _are_reachable(self, goals: Array, joints: Array) -> npt.NDArray[np.bool_]:
-        """Return (n,) whether the arm, now at joints (7,), reaches goals (n, 7) and standoffs with similar joints."""
+        """Return (n,) whether the arm, now at `joints` (7,), reaches goals (n, 7) and their standoff poses.
+
+        The joints at a goal must be similar to those at its standoff pose.
+        """
         standoffs = compose(goals, np.array([0.0, 0.0, -_STANDOFF, 0.0, 0.0, 0.0, 1.0]))
         before, standoff_found = self.arm.solve(standoffs, np.tile(joints, (len(goals), 1)), 30)
         after, goal_found = self.arm.solve(goals, before, 15)

@@ -61,7 +61,7 @@ class ImitationBatches(Batches):
     """Data set of `ImitationStates` from which batches are selected."""
 
     def sample(self, count: int, rng: np.random.Generator) -> ImitationBatch:
-        """Draw a batch of `count` states with replacement; vary poses of the robot's hand and remaining decisions."""
+        """Draw a batch of `count` states with replacement; augment the hand poses and the remaining decisions."""
         return self.select(rng.integers(len(self), size=count), rng)
 
     def select(self, numbers: npt.NDArray[np.int_], rng: np.random.Generator | None) -> ImitationBatch:
@@ -82,11 +82,9 @@ class ImitationBatches(Batches):
 def compute_action_losses(steps: Tensor, targets: Tensor) -> Tensor:
     """Return GA-DDPG's losses (B,) in m of predicted motions of the Panda's hand link.
 
-    A loss is the mean L1 distance between six gripper points after the predicted and after the target motion.
-
-    Args:
-        steps: (B, 6) predicted motions in the hand link's frame: translation (m) and extrinsic xyz Euler angles (rad).
-        targets: (B, 6) target motions, in the same form.
+    A loss is the mean L1 distance between six gripper points after the predicted and after the target motion. Motions,
+    predicted `steps` (B, 6) and `targets` (B, 6), consist of a translation (m) and extrinsic xyz Euler angles (rad) in
+    the hand link's frame.
     """
     points = _QUARTER_TURNED_POINTS.to(steps.device)
     return _compute_mean_distances(_poses_from_steps(steps), points, _poses_from_steps(targets), points)
@@ -123,7 +121,7 @@ def _poses_from_steps(steps: Tensor) -> Tensor:
 
 
 class GaddpgLearner(ImitationLearner[GaddpgNetwork, ImitationBatch]):
-    """Trainer of GA-DDPG's network, see `ImitationLearner`."""
+    """Trainer of the network of the receiver `gaddpg`, see `ImitationLearner`."""
 
     learning_rate, final_share, warmup, epsilon = 6e-4, 0.01, 100, 1e-5
     max_gradient_norm, averaging = 1.0, 0.998

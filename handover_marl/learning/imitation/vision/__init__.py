@@ -1,1 +1,1 @@
-"""Training data and training of the grasp network of the receiver `vision`."""
+"""Training data and training of the two networks of the receiver `vision`: grasp prediction and segmentation."""

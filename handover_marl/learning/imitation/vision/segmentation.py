@@ -1,8 +1,9 @@
 """Rendered images and point clouds with classes, and the training of the segmentation network of `vision`.
 
-Frames come from recordings, and arm poses are on random paths to the object. Camera errors, colors, light and depth
-noise are random in every image. The clouds, for the part of the network that separates the points of object and hand,
-come from the images in which the image network finds object or hand. The module needs the extra `train`.
+Object and hand are posed as in a frame of a recording, and the arm is on a random path to the object. Camera errors,
+colors, light and depth noise are random in every image. The clouds train the part of the network that separates the
+points of object and hand; they come from images in which the image part finds object or hand. The module needs the
+extra `train`.
 """
 
 from abc import abstractmethod
@@ -82,7 +83,7 @@ class SegmentationRenderer(RecordedViewRenderer):
     """Renderer of images of recorded scenes with their segmentation."""
 
     def render_scene(self, number: int) -> SegmentationViews:
-        """Return random images of the scene with the number `number`."""
+        """Return random images of the scene `number`; their number is the constructor's argument `count`."""
         rng, scene = np.random.default_rng((self._seed, number)), self._data.load_scene(number)
         camera = RayCamera(scene.assets, self._context.config.physics)
         views = [self._render_view(scene, camera, rng) for _ in range(self._count)]
@@ -110,7 +111,7 @@ class SegmentationRenderer(RecordedViewRenderer):
         return image.rgb, image.depth, height.reshape(has_depth.shape), np.where(has_depth, classes, _IGNORED)
 
     def _sample_joints(self, point: Array, rng: Rng) -> Array:
-        """Return random arm joints (7,) in rad on the way from a waiting pose to one that looks at a point (3,) (m)."""
+        """Return random arm joints (7,) in rad between a waiting pose and a pose that looks at a world point (3,)."""
         start = self.draw_waiting_joints(_JOINT_STD, rng)
         ahead = point - np.array(self._context.panda.base_position) - [0.0, 0.0, 0.333]
         ahead = ahead / np.linalg.norm(ahead) + rng.normal(0.0, _DIRECTION_STD, 3)
@@ -129,7 +130,7 @@ class SegmentationRenderer(RecordedViewRenderer):
 
 
 def _find_classes(segmentation: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-    """Return the classes (h, w) of the network for segmentation labels (h, w)."""
+    """Convert segmentation labels (h, w), values of `SegmentationLabel`, to class numbers of the network (h, w)."""
     numbers = np.zeros(len(SegmentationLabel), dtype=np.uint8)
     numbers[CLASS_LABELS] = np.arange(N_CLASSES)
     return numbers[segmentation]
@@ -140,7 +141,7 @@ class BodyClouds(NamedTuple):
 
     Attributes:
         points: (v, n, 3) points in a frame whose z coordinate is the height in the world (m).
-        margins: (v, n) differences of the logits of hand and object.
+        margins: (v, n) logit of the hand minus logit of the object that the image part predicts.
         hand_links: (v, 3) positions of the hand link in that frame (m).
         classes: (v, n) classes of the points.
     """
@@ -152,7 +153,7 @@ class BodyClouds(NamedTuple):
 
 
 def collect_clouds(network: SegmentationNetwork, views: SegmentationViews, rng: Rng) -> BodyClouds | None:
-    """Return the clouds of the views in which the network finds enough pixels of object or hand; None if there is none.
+    """Return clouds of the views in which the network finds enough pixels of object or hand; None without such a view.
 
     The depths of a view give points in the hand link's frame. The direction of the world's z axis in this frame is
     fitted to the heights of these points, which the view stores.
@@ -191,7 +192,7 @@ def _fit_vertical(
     return np.stack([side, np.cross(up, side), up]), np.array([0.0, 0.0, height])
 
 
-#: Images or clouds of a batch, as the fields of `SegmentationViews` or `BodyClouds`; the classes are the last field.
+#: Fields of `SegmentationViews` or `BodyClouds` for a batch of images or clouds; the last field has the classes.
 Batch = tuple[Tensor, ...]
 
 
@@ -200,10 +201,10 @@ class LabelledBatches(Batches):
 
     @abstractmethod
     def augment(self, number: int, rng: Rng) -> Sequence[npt.NDArray[Any]]:
-        """Return the fields of an augmented part of the image or cloud with the index `number`."""
+        """Return all fields for a random part of the image or cloud with the index `number`, with random changes."""
 
     def sample(self, count: int, rng: Rng) -> Batch:
-        """Return a batch of `count` augmented parts of random images or clouds."""
+        """Return a batch of `count` results of `augment` for random images or clouds."""
         rows = [self.augment(number, rng) for number in rng.integers(len(self), size=count)]
         return tuple(torch.from_numpy(np.stack(part)) for part in zip(*rows, strict=True))
 
@@ -216,7 +217,7 @@ class SegmentationBatches(LabelledBatches):
     """Data set of `SegmentationViews`."""
 
     def augment(self, number: int, rng: Rng) -> Sequence[npt.NDArray[Any]]:
-        """Return a random section of an image, most often around object or hand."""
+        """Return a random section (128 x 128 pixels) of an image, in most cases around a pixel of an object or hand."""
         classes = self._samples[-1][number]
         shown = np.flatnonzero((classes > 0) & (classes != _IGNORED))
         is_any = not len(shown) or rng.random() < _ANYWHERE_SHARE
@@ -230,7 +231,7 @@ class PointBatches(LabelledBatches):
     """Data set of `BodyClouds`."""
 
     def augment(self, number: int, rng: Rng) -> Sequence[npt.NDArray[Any]]:
-        """Return random points of a cloud, turned, tilted, mirrored, scaled and noisy."""
+        """Return 256 random points of a cloud, turned, tilted, mirrored and scaled at random, with noise."""
         points, margins, hand_link, classes = (part[number] for part in self._samples)
         chosen = rng.permutation(_N_KEPT)[:N_BODY_POINTS]
         mean = points[chosen].mean(axis=0)
@@ -253,11 +254,7 @@ class PointBatches(LabelledBatches):
 
 
 class LabelLearner(ImitationLearner[Network, Batch]):
-    """Base class of trainers of networks that classify the pixels of images or the points of clouds.
-
-    Attributes:
-        class_weights: Weights of the classes in the loss.
-    """
+    """Base class of trainers of networks that classify pixels or points; `class_weights` are factors in the loss."""
 
     class_weights: ClassVar[tuple[float, ...]]
 
@@ -273,7 +270,7 @@ class LabelLearner(ImitationLearner[Network, Batch]):
         return loss, {"cross_entropy": loss}
 
     def evaluate(self, held_out: LabelledBatches) -> dict[str, float]:
-        """Return the intersection over union of each class, over all held-out images or clouds, by its name."""
+        """Return the intersection over union of each class on all held-out images or clouds, by class name."""
         counts = np.zeros((N_CLASSES, N_CLASSES))  # of pairs of a true and a predicted class
         with torch.inference_mode():
             for numbers in np.array_split(np.arange(len(held_out)), -(-len(held_out) // _N_EVALUATED)):

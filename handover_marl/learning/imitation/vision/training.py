@@ -1,7 +1,7 @@
 """Training, losses and metrics of the grasp network. The module needs the extra `train`.
 
-The distance of two grasps is the mean distance between three points of the gripper (hand and both finger pads) at the
-grasps. A rotation of the gripper by pi about its z axis does not change it.
+The distance between two grasps is the mean distance between three points of the gripper (hand link and two points of
+the fingers) at one grasp and at the other. A rotation of a grasp by pi about its z axis does not change the distance.
 """
 
 import math
@@ -59,7 +59,7 @@ class LabelledClouds(NamedTuple):
         clouds: Inputs of the network.
         targets: Good grasps, which the network should predict.
         object_center: (B, 3) centers of the objects (m).
-        object_motion: (B, 3) displacements of the objects within the prediction time (m).
+        object_motion: (B, 3) displacements of the objects in the coming 0.5 s (m).
     """
 
     clouds: PointCloudBatch
@@ -83,7 +83,7 @@ def grasp_targets_from_poses(poses: Tensor, quality: Tensor) -> GraspTargets:
 
 
 def compute_grasp_distances(outputs: GraspOutputs, targets: GraspTargets) -> Tensor:
-    """Return distances (B, C, K) in m, means over three gripper points, between predicted and good grasps."""
+    """Return the distances (B, C, K) in m between grasps predicted at C centers and K good grasps of B clouds."""
     return _gripper_distances(
         outputs.positions[:, :, None],
         outputs.rotations[:, :, None],
@@ -103,9 +103,9 @@ def find_enclosed_centers(centers: Tensor, targets: GraspTargets) -> Tensor:
 def compute_grasp_losses(outputs: GraspOutputs, batch: LabelledClouds) -> dict[str, Tensor]:
     """Return the losses of the grasp network, averaged over a batch of clouds.
 
-    A center is a point of the object at which the network predicts a grasp. It is matched to the nearest good grasp
-    that has the point between its closing pads, where grasps of higher quality are preferred. Centers without such a
-    grasp only contribute to the loss of the quality.
+    A center is a point of the object at which the network predicts a grasp. Candidates for a match are the good grasps
+    whose closing pads enclose the center; the one nearest to the predicted grasp is matched, where a grasp of quality 1
+    may be up to 3 cm farther away than one of quality 0. Centers without candidates count only in the loss of quality.
 
     Returns:
         "grasp", the distance of predicted grasps from the good grasps matched to them (m); "quality", the binary cross
@@ -134,9 +134,9 @@ def compute_grasp_losses(outputs: GraspOutputs, batch: LabelledClouds) -> dict[s
 
 
 def _gripper_distances(positions: Tensor, rotations: Tensor, targets: Tensor, target_rotations: Tensor) -> Tensor:
-    """Return distances (...) in m, means over three gripper points, of grasps from targets.
+    """Return the distances (...) in m between grasps and targets, see the module.
 
-    Grasps are points between the pads (..., 3) in m and orientations of the hand link (..., 3, 3).
+    Both are points between the pads (..., 3) in m and orientations of the hand link (..., 3, 3).
     """
     offset = positions - targets
     wrist = offset - PAD_DISTANCE * (rotations[..., 2] - target_rotations[..., 2])
@@ -148,12 +148,7 @@ def _gripper_distances(positions: Tensor, rotations: Tensor, targets: Tensor, ta
 
 
 class ViewBatches(Batches):
-    """Data set of rendered views as tensors, from which batches are selected.
-
-    Args:
-        views: Rendered views with their good grasps.
-        device: Device of the tensors.
-    """
+    """Data set of rendered views with good grasps, as tensors on a device, from which batches are selected."""
 
     def __init__(self, views: GraspViews, device: torch.device) -> None:
         super().__init__([torch.from_numpy(np.ascontiguousarray(array)).to(device) for array in views])
@@ -219,10 +214,10 @@ class GraspLearner(ImitationLearner[GraspNetwork, LabelledClouds]):
         """Return metrics of the network with averaged weights on held-out views, by name.
 
         Returns:
-            views: Number of views with at least one good grasp.
+            views: Number of views with a good grasp, one of quality 0.3 or more.
             within_1cm, within_2cm: Shares of these views whose best predicted grasp is within 1 or 2 cm of a good one.
-            median_distance: Median distance of the best predicted grasp from a good one (m).
-            grasp_loss, quality_loss: Losses of the grasps (m) and of their quality.
+            median_distance: Median distance of the best predicted grasp from the nearest good one (m).
+            grasp_loss, quality_loss: Losses "grasp" (m) and "quality" of `compute_grasp_losses`, means over all views.
         """
         distances, losses = [], []
         generator = torch.Generator().manual_seed(0)

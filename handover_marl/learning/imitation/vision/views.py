@@ -1,9 +1,10 @@
-"""Rendered views of objects in persons' hands with good grasps: training data of `vision`.
+"""Rendered views of objects in persons' hands, with good grasps: training data of the receiver `vision`.
 
-Frames come from recordings. The camera is where receivers wait, or on the way to a grasp with random offsets. Views are
-ray cast without physics. The quality of a grasp follows from the terms of the grasp cost of the receiver `reactive`
-that do not depend on the arm: whether the grasp held in simulation, how well the pads enclose the object, and the
-clearance to the hand. Next to a hand, offset copies of the grasps are candidates too. Quaternions are xyzw.
+Objects and hands are posed as in a frame of a recording. The wrist camera is where receivers wait, or at a random pose
+on the way to a grasp. Views are ray cast without physics. The quality of a grasp follows from the terms of the grasp
+cost of the receiver `reactive` that do not depend on the arm: whether the grasp held in simulation, how well the pads
+enclose the object, and the clearance to the person's hand. Next to a hand, copies of the grasps with small offsets are
+candidates, too. Quaternions are xyzw.
 """
 
 from collections.abc import Iterable, Sequence
@@ -100,7 +101,7 @@ class Grasps:
 
     Attributes:
         poses: (n, 7) poses of the Panda's hand link, quaternions xyzw.
-        costs: (n,) costs of the grasps without a person's hand nearby (s).
+        costs: (n,) costs of the grasps without a person's hand nearby (s); lower is better.
         object_center: (3,) center of the object's bounding box (m).
     """
 
@@ -114,7 +115,7 @@ class LabelledFrame:
     """Frame of a recording with the object's grasps and their qualities.
 
     Attributes:
-        frame: Index of the frame in the recording (1 ms).
+        frame: Index of the frame in the recording, which has one every 1 ms.
         object_pose: (7,) pose of the object in the world, quaternion xyzw.
         grasps: Known grasps of the object and offset copies of them, n in number.
         quality: (n,) qualities of the grasps at this frame.
@@ -141,7 +142,7 @@ class RecordedViewRenderer:
         self._arm = ArmInWorld.for_panda(self._context.panda_urdf, self._context.panda, LIMIT_PADDING)
 
     def draw_waiting_joints(self, noise_std: float, rng: Rng) -> Array:
-        """Return arm joints (7,) in rad: one of the two waiting poses, with Gaussian noise of `noise_std` (rad)."""
+        """Return arm joints (7,) in rad: one of two waiting poses at random, with normal noise of `noise_std` (rad)."""
         waiting = (WAITING_JOINTS, self._context.panda.start_joints)[rng.integers(2)]
         joints: Array = np.array(waiting[:ARM_DOF]) + rng.normal(0.0, noise_std, ARM_DOF)
         return joints
@@ -149,7 +150,7 @@ class RecordedViewRenderer:
     def find_joints(self, hand_pose: Array, start: Array) -> Array | None:
         """Return arm joints (7,) in rad for a pose (7,) of the hand link in the world; None if none are found.
 
-        The quaternion is xyzw; `start` are the joints with which the search begins.
+        The quaternion is xyzw. Inverse kinematics starts at the joints `start` (7,) and, if that fails, at fixed ones.
         """
         seeds = np.concatenate([start[None], IK_SEEDS, FALLBACK_IK_SEEDS])
         solutions, converged = self._arm.solve(np.tile(hand_pose, (len(seeds), 1)), seeds, _IK_ITERATIONS)
@@ -173,7 +174,7 @@ class ViewRenderer(RecordedViewRenderer):
         self._reactive = reactive or ReactiveConfig()
 
     def render_scene(self, number: int) -> GraspViews:
-        """Return random views of the scene with the number `number`; views with few object points are discarded."""
+        """Return random views of the scene `number`; views with fewer than 30 object points are discarded."""
         # Seeded by the scene, so that files do not depend on the number of processes.
         rng, scene = np.random.default_rng((self._seed, number)), self._data.load_scene(number)
         frames = _sample_frames(scene, self._count, rng).tolist()
@@ -182,7 +183,7 @@ class ViewRenderer(RecordedViewRenderer):
         return self.render(scene, poses, rng)
 
     def label_frames(self, scene: Scene, frames: Sequence[int]) -> dict[int, LabelledFrame]:
-        """Return some frames of a scene, by their index, with the qualities of the object's grasps in them.
+        """Return frames of a scene, by index, with the object's grasps and the qualities that these have in the frames.
 
         The grasps include offset copies that are clear of the person's hand in the last frame.
         """
@@ -220,8 +221,8 @@ class ViewRenderer(RecordedViewRenderer):
 
         Args:
             grasps: Grasps of the object.
-            hand: Spheres that cover the person's hand in the world; None if there is no hand. Qualities are lower for
-                grasps with little clearance to it, and 0 for those with less than 3 mm.
+            hand: Spheres that cover the person's hand in the world; None if there is no hand. A clearance to the hand
+                below the desired one adds to the cost; below 3 mm, the quality is 0.
             object_pose: (7,) pose of the object in the world, quaternion xyzw.
         """
         config, costs = self._reactive, grasps.costs
@@ -287,7 +288,7 @@ class ViewRenderer(RecordedViewRenderer):
 
 
 def _read_motion(scene: Scene, frame: int) -> tuple[Array, Array]:
-    """Return the object's velocity (3,) in m/s and displacement (3,) in m within the coming 0.5 s, in the world."""
+    """Return the object's velocity (3,) in m/s and displacement (3,) in m in the coming 0.5 s, in the world frame."""
     path = scene.object_dof[:, 0, :3].astype(np.float64)
     before, after = max(frame - _VELOCITY_WINDOW, 0), min(frame + _MOTION_WINDOW, len(path) - 1)
     return (path[frame] - path[before]) / (0.001 * _VELOCITY_WINDOW), path[after] - path[frame]
@@ -304,7 +305,7 @@ def _sample_frames(scene: Scene, count: int, rng: Rng) -> npt.NDArray[np.int_]:
 
 
 def _sample_pose(labelled: LabelledFrame, number: int, rng: Rng) -> Array:
-    """Return a random world pose (7,) of the hand link on the way to the known grasp with index `number`."""
+    """Return a random world pose (7,) of the hand link on the way to the grasp with index `number`."""
     distance = _MAX_DISTANCE * rng.random() ** 1.5
     lateral = (_LATERAL_RMS + _LATERAL_SLOPE * distance) * rng.normal(size=3) / np.sqrt(3.0)
     angle = (_ANGLE_RMS + _ANGLE_SLOPE * distance) * rng.normal(size=3) / np.sqrt(3.0)
@@ -314,7 +315,7 @@ def _sample_pose(labelled: LabelledFrame, number: int, rng: Rng) -> Array:
 
 
 def read_object_pose(scene: Scene, frame: int) -> Array:
-    """Return the handed-over object's world pose (7,), quaternion xyzw, in a frame (1 ms) of a recording."""
+    """Return the handed-over object's world pose (7,), quaternion xyzw, in the frame with index `frame`."""
     dof = scene.object_dof[frame, 0]
     return np.concatenate([dof[:3], quaternions_from_euler(dof[3:])])
 

@@ -38,7 +38,7 @@ _FATAL_OVERFLOWS = {
 
 
 class StepControls(NamedTuple):
-    """Controls of r worlds in one physics step; for c steps, the second axis of each array is for the steps.
+    """Controls of r worlds in one physics step; arrays for c steps have the shape (r, c, ...).
 
     Attributes:
         targets: Actuator targets (r, u).
@@ -53,14 +53,14 @@ class StepControls(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class WarpRollout:
-    """Rollout of r worlds that are advanced together, step by step; its tensors are updated in place.
+    """Rollout of r worlds that are advanced together, step by step; it is updated in place.
 
     Attributes:
-        rows: Numbers (r,) of the worlds.
-        row_indices: Index (d,) in `rows` of the world in each of the first d rows of the engine's arrays.
-        scenes: Numbers (d,) of the scenes in the engine's rows.
-        released: Whether the target objects in the engine's rows are released, (d,).
-        states: States (r, ...) of the worlds that `WarpGroup.store_states` has stored last, by MuJoCo's names.
+        rows: Indices (r,) of the worlds.
+        row_indices: Index (d,) in `rows` of the world in each of the d rows of MuJoCo Warp's arrays that are in use.
+        scenes: Numbers (d,) of the scenes in these d rows, as returned by `WarpModel.add_scene`.
+        released: Whether the target objects in these d rows are released, (d,).
+        states: States (r, ...) of the worlds by MuJoCo's names, e.g. "qpos", as `WarpGroup.store_states` stored them.
         overflow: Bits (r,) of MuJoCo Warp's `OverflowType`: the buffers that were too small for each world.
     """
 
@@ -111,7 +111,7 @@ class WarpGroup:
         """Set a world to the start of a scene, at rest.
 
         Args:
-            row: Number of the world.
+            row: Index of the world.
             scene: Padded model of the scene.
             robot_joints: Nine joint positions of the robot (rad, m).
             object_joints: Joint positions (m, 6) of the objects: xyz (m), XYZ Euler angles (rad).
@@ -134,7 +134,7 @@ class WarpGroup:
         self._target_mass[row] = float(model.body_mass[scene.objects[0]])
 
     def compute_body_poses(self, rows: AnyArray, bodies: list[int]) -> tuple[AnyArray, AnyArray]:
-        """Compute world positions (r, b, 3) in m and quaternions wxyz (r, b, 4) of b bodies of the robot by number."""
+        """Compute world positions (r, b, 3) in m and quaternions wxyz (r, b, 4) of b robot bodies in r worlds."""
         count = len(rows)
         with self._device.use():
             self._data.nworld = count
@@ -144,13 +144,13 @@ class WarpGroup:
             return self._views["xpos"][:count][:, bodies], self._views["xquat"][:count][:, bodies]
 
     def start_rollout(self, rows: AnyArray) -> WarpRollout:
-        """Copy worlds to the engine and return a rollout of them.
+        """Copy worlds to MuJoCo Warp's arrays and return a rollout of them.
 
-        On a GPU the number of simulated worlds is rounded up to a power of two, at most all n worlds of the batch, as a
-        CUDA graph is captured for each number. The additional worlds are copies, whose results are discarded.
+        On a GPU, the number of simulated worlds is rounded up to a power of two, but not above n, since a CUDA graph is
+        captured for each number. The additional worlds are copies, whose results are discarded.
 
         Args:
-            rows: (r,) indices of worlds in this group.
+            rows: Indices (r,) of worlds in this group.
         """
         count = n_rows = len(rows)
         if self._device.stream is not None:
@@ -173,9 +173,9 @@ class WarpGroup:
         """Simulate one physics step of the worlds of a rollout, and return its contacts (1, r).
 
         Args:
-            rollout: The rollout; no other one may have been started since.
-            controls: Controls of the worlds.
-            rules: Bounds of the grasp region of the fingers.
+            rollout: Rollout that was started last in this group.
+            controls: Controls of the r worlds in this step.
+            rules: Rules of the protocol, of which only the grasp region of the fingers is used.
         """
         count, row_indices = len(rollout.rows), rollout.row_indices
         with self._device.use():
@@ -186,7 +186,7 @@ class WarpGroup:
             return self._sensors.compute_rollout_contacts(data, qpos, rules)
 
     def store_states(self, rollout: WarpRollout, running: AnyArray) -> None:
-        """Copy the states of the worlds that are `running` (r,) to `rollout.states`; keep the other states there."""
+        """Copy the current states of the worlds where `running` (r,) is True to `rollout.states`; keep the others."""
         xp, count = self._arrays.xp, len(rollout.rows)
         for name, kept in rollout.states.items():
             rollout.states[name] = xp.where(running[:, None], self._views[name][:count], kept)
@@ -218,7 +218,7 @@ class WarpGroup:
         return None if is_finite else "Nan, Inf or huge value in the state."
 
     def get_mocap_poses(self, rows: AnyArray) -> tuple[AnyArray, AnyArray]:
-        """Return positions (r, m, 3) in m and quaternions wxyz (r, m, 4) of mocap bodies at the episodes' starts."""
+        """Return positions (r, m, 3) in m and quaternions wxyz (r, m, 4) of mocap bodies at the start of episodes."""
         return self._mocap["mocap_pos"][rows], self._mocap["mocap_quat"][rows]
 
     def are_grasped(self, rows: AnyArray) -> AnyArray:
@@ -226,7 +226,7 @@ class WarpGroup:
         return self._arrays.xp.all(self._sensors.find_touching_fingers(self.state["sensordata"][rows]), axis=-1)
 
     def read_contacts(self, row: int, released: bool) -> Contacts:
-        """Return the contacts of world `row` in its last step, as `World.read_contacts` does."""
+        """Return the contacts of world `row` in its last step; `released` is as in `World.read_contacts`."""
         data, qpos = (to_numpy(self.state[name][row]).astype(np.float64) for name in ("sensordata", "qpos"))
         return self.scene.contact_sensors.compute_contacts(data, qpos, released)
 
@@ -237,7 +237,7 @@ class WarpGroup:
         self._views[_FORCES][: len(rollout.row_indices), body, 2] = weights * rollout.released
 
     def _step(self) -> None:
-        """Simulate one step of the first `nworld` rows of the engine's arrays, with a captured CUDA graph on a GPU."""
+        """Simulate one step of the worlds in MuJoCo Warp's arrays; on a GPU, by a CUDA graph for their number."""
         model, data = self._model.model, self._data
         if data.nworld in self._graphs:
             warp.capture_launch(self._graphs[data.nworld])

@@ -173,8 +173,8 @@ class WarpModel:
         arrays: Creator of tensors on Warp's current device.
 
     Attributes:
-        source: MuJoCo model with the options of MuJoCo Warp.
-        model: Model on the device.
+        source: MuJoCo model of `scene` with the options that MuJoCo Warp accepts.
+        model: Model on the device, made of `source`.
     """
 
     def __init__(self, scene: SceneModel, worlds: int, arrays: ArrayFactory) -> None:
@@ -211,7 +211,7 @@ class WarpModel:
         """Copy a scene to the device, unless it is there already.
 
         Returns:
-            Number of the scene, and whether arrays of the model were replaced; if so, captured graphs are invalid.
+            Number of the scene, and whether arrays of the model were replaced; if so, captured CUDA graphs are invalid.
         """
         if scene in self._scene_numbers:
             return self._scene_numbers[scene], False
@@ -234,8 +234,8 @@ class WarpModel:
         """Write the model values of m scenes into rows 0 to m - 1 of the device arrays, one row for each world.
 
         Args:
-            numbers: (m,) numbers of the scenes, as returned by `add_scene`.
-            released: (m,) whether the target object of each world is released.
+            numbers: Numbers (m,) of the scenes, as returned by `add_scene`.
+            released: Whether the target object of each world is released, (m,).
         """
         for name, rows in self._rows.items():
             if name not in _RELEASED_FIELDS:
@@ -243,13 +243,13 @@ class WarpModel:
         self.select_released(numbers, released)
 
     def select_released(self, numbers: AnyArray, released: AnyArray) -> None:
-        """Set whether the target objects of the first m worlds are released, (m,); `numbers` (m,) are their scenes."""
+        """Set whether target objects are `released` (m,) in the first m worlds, with the scenes `numbers` (m,)."""
         for name in _RELEASED_FIELDS:
             rows, own = self._rows[name], (self._scenes[key].rows[numbers] for key in (name + _RELEASED, name))
             rows[: len(numbers)] = get_namespace(rows).where(expand_mask(released, rows), *own)
 
     def _compute_values(self, scene: SceneModel) -> dict[str, npt.NDArray[np.generic]]:
-        """Return a scene's values for the arrays in which worlds differ, by MuJoCo's names."""
+        """Return a scene's values of the arrays in which worlds differ, by MuJoCo's names, e.g. "body_mass"."""
         model, target = scene.model, scene.objects[0]
         values = {name: getattr(model, name) for name in _ROW_FIELDS}
         first, count = model.body_geomadr[target], model.body_geomnum[target]

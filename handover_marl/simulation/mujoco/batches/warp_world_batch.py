@@ -21,7 +21,7 @@ from handover_marl.simulation.world import Contacts, JudgeFunction, WorldState
 
 
 class DeviceHands:
-    """Hands of n worlds, which track their references as `BodyTrajectory` does, without contact.
+    """Human hands of n worlds, which track their reference motions without contact, as `BodyTrajectory` does.
 
     The hands may have different sizes, but have the same joints. Methods apply to the r worlds whose indices are in
     their argument `rows` (r,); other arrays have r rows.
@@ -44,7 +44,7 @@ class DeviceHands:
         self._keypoint_links: AnyArray = None
 
     def reset(self, row: int, urdf: Path, joints: npt.NDArray[np.float32] | None) -> None:
-        """Set the hand of world `row` to the model `urdf` at joint positions (51,) (m, rad), None for no hand yet."""
+        """Set the hand of world `row` to the model `urdf` at `joints` (51,) (m, rad), None if it is absent at first."""
         self._hands[row], self.present[row] = self._trees.add(urdf), joints is not None
         if self._keypoint_links is None:
             self._keypoint_links = self._arrays.asarray(select_keypoint_links(read_tree(urdf).moving_links))
@@ -52,7 +52,7 @@ class DeviceHands:
             self.joints[row] = self._arrays.asarray(joints, "float64")
 
     def track(self, rows: AnyArray, targets: AnyArray, present: AnyArray) -> AnyArray:
-        """Compute the joint positions (r, k, 51) of hands that track targets (m, rad), without changing the hands.
+        """Compute the joint positions (r, k, 51) of hands that track targets in k steps, without changing the hands.
 
         Args:
             rows: Indices (r,) of the worlds.
@@ -87,7 +87,7 @@ class DeviceHands:
     def compute_link_poses(self, rows: AnyArray, joints: AnyArray, links: AnyArray) -> tuple[AnyArray, AnyArray]:
         """Compute world positions (r, k, l, 3) in m and quaternions xyzw (r, k, l, 4) of l links of hands `rows` (r,).
 
-        `joints` (r, k, 51) are their joint positions (m, rad), `links` (l,) the numbers of the links.
+        `joints` (r, k, 51) are k configurations of each hand (m, rad), `links` (l,) the numbers of the links.
         """
         origins, rotations = self._trees.compute_link_frames(self._hands[rows], joints)
         return origins[..., links, :], quaternions_from_matrices(rotations[..., links, :, :])
@@ -122,7 +122,7 @@ class WarpWorldBatch:
         self._n_objects = arrays.zeros(count, "int64")
 
     def reset(self, row: int, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
-        """Load a scene into the world with index `row`, and set all bodies to their start; see `World.reset`."""
+        """Load a scene into the world with index `row`, and set all its bodies to their start; see `World.reset`."""
         model = load_padded_model(scene.assets, self._config)
         layout = compute_layout(model)
         if layout not in self._groups:
@@ -147,7 +147,8 @@ class WarpWorldBatch:
     ) -> AnyArray:
         """Simulate r worlds for all steps of `reference`, or until their episodes end; return step counts (r,).
 
-        The function `judge` gets the contacts of single steps; worlds that have ended keep their last state.
+        Arguments are as in `MujocoWorldBatch.rollout`; `judge` is called after every step, for each group of worlds.
+        Worlds whose episodes have ended keep their last state.
         """
         simulated = self._arrays.zeros(len(rows), "int64")
         for group, places in self._split(rows):
@@ -205,7 +206,7 @@ class WarpWorldBatch:
         return grasped
 
     def read_contacts(self, row: int, released: bool) -> Contacts:
-        """Return the contacts of world `row` in its last step, as `World.read_contacts` does."""
+        """Return the contacts of world `row` in its last step; `released` is as in `World.read_contacts`."""
         ((group, _),) = self._split(self._arrays.asarray([row]))
         return group.read_contacts(row, released)
 
@@ -228,9 +229,9 @@ class WarpWorldBatch:
     def _make_controls(
         self, group: WarpGroup, rows: AnyArray, reference: ReferenceMotion, hands: AnyArray, steps: slice
     ) -> StepControls:
-        """Return the controls (r, c, ...) of worlds `rows` (r,) of a group in c `steps`, with zeros as robots' targets.
+        """Return the controls (r, c, ...) of worlds `rows` (r,) of a group in c `steps`; robots' targets are zeros.
 
-        `reference` is their motion, and `hands` (r, k, 51) are the joints of their hands in all its k steps (m, rad).
+        `reference` has k steps, of which `steps` selects c; `hands` (r, k, 51) are the hands' joint positions (m, rad).
         """
         xp, scene = self._arrays.xp, group.scene
         wanted, present = reference.objects[:, steps], reference.hand_present[:, steps, None, None]

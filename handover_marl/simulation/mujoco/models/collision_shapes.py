@@ -22,8 +22,8 @@ from handover_marl.simulation.mujoco.engine import wxyz_from_xyzw
 Array = npt.NDArray[np.float64]
 
 # Bullet computes a link's inertia from a box. On each side, the box is larger than the link's hulls by their margin and
-# twice that of the compound shape (m). A hull with a pose of its own is in one more compound shape, which adds another
-# margin (m).
+# twice the margin of the compound shape (m). A hull with a pose of its own is in one more compound shape, which adds
+# another margin (m).
 _HULL_PADDING, _POSED_HULL_PADDING = 0.003, 0.001
 
 
@@ -52,12 +52,12 @@ class ConvexPart:
 
 
 def load_convex_parts(shapes: Sequence[UrdfShape]) -> list[ConvexPart]:
-    """Load collision shapes as Bullet does: each object of a mesh file is one convex hull."""
+    """Load the convex parts of collision shapes as Bullet does: each object of a mesh file is one convex hull."""
     return [part for shape in shapes for part in _load_shape(shape)]
 
 
 def load_link_parts(urdf: Path, tree: KinematicTree) -> dict[int, list[ConvexPart]]:
-    """Load the collision shapes of each link of a URDF model that has any, by ascending link number (-1: the base)."""
+    """Load the convex parts of all links with collision shapes, by ascending link number; -1 is the base."""
     shapes = read_urdf_shapes(urdf, tree, "collision")
     links = sorted({shape.link for shape in shapes})
     return {link: load_convex_parts([shape for shape in shapes if shape.link == link]) for link in links}
@@ -98,7 +98,7 @@ def _read_stl_vertices(mesh: Path) -> Array:
 
 
 def compute_box_inertia(link: UrdfLink, parts: Sequence[ConvexPart]) -> Array:
-    """Compute the moments of inertia (3,) in kg m^2 of a link, approximated by the box around its collision shapes."""
+    """Compute the moments of inertia (3,) in kg m^2 of a link as those of a solid box around its collision shapes."""
     lower, upper = _compute_bounds(parts, any(link.center))
     x, y, z = (upper - lower) ** 2
     return np.array([y + z, x + z, x + y]) * link.mass / 12.0
@@ -124,7 +124,7 @@ def _compute_bounds(parts: Sequence[ConvexPart], has_offset: bool) -> tuple[Arra
 
 @functools.lru_cache(maxsize=4096)
 def _compute_part_bounds(part: ConvexPart, has_offset: bool) -> tuple[Array, Array]:
-    """Return both corners (m) of Bullet's bounding box of a part in the link's frame.
+    """Return lower and upper corner, (3,) each, of Bullet's bounding box of a part in the link's frame (m).
 
     `has_offset` says whether the link's center of mass differs from its frame.
     """
@@ -168,7 +168,7 @@ def set_inertia(body: "mujoco.MjsBody", link: UrdfLink, parts: list[ConvexPart])
 
 
 class CollisionGroup(IntFlag):
-    """Collision groups: bits of MuJoCo's contype and conaffinity. The Panda collides with all groups."""
+    """Collision groups as bits of MuJoCo's `contype` and `conaffinity`; the Panda collides with all groups."""
 
     ROBOT = 1
     OBJECT = 2

@@ -41,13 +41,13 @@ _OBJECT_LINK = OBJECT_DOF - 1
 
 @dataclass(frozen=True, eq=False)
 class RobotOnlyModel:
-    """Compiled MuJoCo model of ground, table and robot, without objects and hand.
+    """Compiled MuJoCo model of ground, table and robot, without objects and human hand.
 
     Attributes:
         model: Compiled model; only the robot's nine joints move.
         motion_bounds: Bounds on the motion of the robot.
         links: Body numbers (L,) of the links in `motion_bounds.links`.
-        spheres: Site numbers (b,) of the centers of the bounding spheres, first of the links, then of the base.
+        spheres: Site numbers (b,) of the centers of bounding spheres, first those of these links, then the base's.
     """
 
     model: "mujoco.MjModel"
@@ -58,7 +58,7 @@ class RobotOnlyModel:
 
 @dataclass(frozen=True, eq=False)
 class SceneModel:
-    """Compiled MuJoCo model of a scene, with the array indices of its robot, objects and hand.
+    """Compiled MuJoCo model of a scene, with the array indices of its robot, m objects and human hand.
 
     A model is shared by worlds and never changed.
 
@@ -74,12 +74,12 @@ class SceneModel:
         object_qvel: Indices in `qvel` of the objects' velocities, linear in the world frame, angular in the object's.
         object_ctrl: Indices in `ctrl` of the six actuators of each object: world xyz, then rotation relative to the
             object's rotation reference.
-        rotation_references: Mocap numbers of the m bodies that have the target orientations of the objects.
-        hand: Mocap numbers of the k bodies of the hand.
-        hand_links: Link numbers (k,) of the bodies of the hand.
+        rotation_references: Mocap numbers of m bodies without shapes, which have the objects' target orientations.
+        hand: Mocap numbers of the k bodies of the human hand.
+        hand_links: URDF link numbers (k,) of the bodies of the hand.
         robot_only: Model without hand and objects, in which robot bodies have the same numbers.
         hand_reach: Upper bound on the distance of any point of the hand from the origin of its wrist joints (m).
-        object_reaches: Upper bounds (m,) on the distance of any point of each of m objects from its origin, in m.
+        object_reaches: Upper bounds (m,) on the distance of any point of each object from the object's origin, in m.
     """
 
     model: "mujoco.MjModel"
@@ -102,11 +102,11 @@ class SceneModel:
 
 @functools.lru_cache(maxsize=64)
 def select_variant(scene: SceneModel, released: bool, hand_collides: bool) -> "mujoco.MjModel":
-    """Return the variant of a scene's MuJoCo model for the present state of an episode.
+    """Return the variant of a scene's MuJoCo model for the current state of an episode.
 
-    In the model itself, the hand collides and actuators hold the target object. In the variant for `released`, these
-    actuators are off and the object collides with supports. Without `hand_collides`, the hand does not collide, and
-    steps take a tenth less time.
+    In the model itself, the human hand collides, and actuators hold the target object. With `released`, these actuators
+    are off, and the object collides with table, ground and other objects. Without `hand_collides`, the hand does not
+    collide, and steps take a tenth less time.
     """
     if hand_collides and not released:
         return scene.model
@@ -138,7 +138,7 @@ def load_scene_model(assets: SceneAssets, config: PhysicsConfig, padding: ModelP
     Args:
         assets: Model files of the scene.
         config: Constants of the world.
-        padding: Sizes to which the model is padded; the indices in the result leave out the added objects.
+        padding: Sizes to which the model is padded, None for no padding; results have no indices of added objects.
     """
     friction = read_object_friction(assets.objects[0])
     workcell = (assets.table, assets.panda), friction, config
@@ -214,7 +214,7 @@ def _compute_reach(urdf: Path, link: int) -> float:
 
 
 def _as_slice(places: Iterable[int]) -> slice:
-    """Return indices as a slice, so that arrays are read as views; raise `SimulationError` if they have gaps."""
+    """Return ascending indices as a slice, which selects views; raise `SimulationError` if they have gaps."""
     found = list(places)
     if found != list(range(found[0], found[0] + len(found))):
         raise SimulationError(f"MuJoCo's numbers of the model's parts must be consecutive, got {found}; report this")

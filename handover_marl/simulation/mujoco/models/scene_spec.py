@@ -70,8 +70,8 @@ _NEVER_COLLIDING = (
 class ModelPadding:
     """Sizes to which a scene's model is padded, so that the models of many scenes have one layout.
 
-    Absent objects and hulls are in the model as small bodies and tetrahedra. The target object has each hull twice:
-    one collides with the robot. Once the object is released, the other one collides with everything else.
+    Small bodies stand for absent objects, small tetrahedra for absent hulls. The target object has each hull twice: one
+    collides with the robot; the other one, after the release, with table, ground and other objects.
 
     Attributes:
         objects: Number of objects in the model.
@@ -95,7 +95,7 @@ def format_object_name(number: int) -> str:
 
 
 def format_rotation_reference_name(number: int) -> str:
-    """Return the name of the mocap body that holds an object's target orientation."""
+    """Return the name of the mocap body whose orientation is an object's target, by the number of the object."""
     return f"rotation_reference{number}"
 
 
@@ -107,10 +107,10 @@ def format_hand_name(number: int) -> str:
 class SceneModelBuilder:
     """Builder of a scene's MuJoCo model.
 
-    The world has the bodies `robot` with the URDF's links below it, `table`, free bodies `object0`,
-    ..., and mocap bodies `hand0`, .... Actuators are named after the robot's joints and `object0/0`
-    to `object0/5` (world xyz, then three rotation components). There is no gravity, since
-    the motors compensate it exactly. A released object gets its weight as an external force.
+    The world has the bodies `robot` with the URDF's links below it, `table`, free bodies `object0`, ..., and mocap
+    bodies `hand0`, .... The robot's actuators have the names of the links that they move, an object's are `object0/0`
+    to `object0/5` (world xyz, then three rotation components). There is no gravity, since the motors compensate it
+    exactly. A released object gets its weight as an external force.
 
     All methods raise a `SimulationError` or a `DataFormatError` if a model or a mesh cannot be read.
 
@@ -122,7 +122,7 @@ class SceneModelBuilder:
 
     Attributes:
         spec: MuJoCo specification of the model under construction.
-        hand_links: Link number of each of the human hand's bodies.
+        hand_links: URDF link numbers of the human hand's bodies `hand0`, ....
     """
 
     def __init__(
@@ -154,7 +154,7 @@ class SceneModelBuilder:
                 self.spec.add_exclude(bodyname1=one, bodyname2=other)
 
     def add_objects_and_hand(self, objects: Sequence[Path], hand: Path) -> None:
-        """Add objects (the target first) and hand, from URDF files, and contact sensors to a model with a workcell."""
+        """Add objects (the target first), human hand and contact sensors; the model must have the workcell."""
         for number, urdf in enumerate(objects):
             self._add_object(number, urdf)
         count = len(objects) if self._padding is None else self._padding.objects
@@ -296,7 +296,7 @@ class SceneModelBuilder:
             friction: Lateral friction coefficient.
             collides_with: Groups that the geom collides with. One of two geoms is enough for a pair to collide.
             torsion: Friction coefficient about the contact normal (m).
-            priority: Priority of this geom's friction.
+            priority: Priority of the geom. Of two geoms in contact, the one with the higher priority sets the friction.
         """
         geom.contype, geom.conaffinity = int(group), int(collides_with)
         geom.friction, geom.condim = [friction, torsion, 0.0], 4 if torsion else 3
