@@ -3,7 +3,7 @@
 import hashlib
 import itertools
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -104,7 +104,7 @@ class CrossPlay(TabularResult):
         write_atomically(folder / "crossplay.png", draw_heat_map(rates, self.givers, self.receivers, title))
 
     def build_sections(self) -> list[str | ReportTable]:
-        """Build heading, matrix of success rates, table of rates, tables of differences between policies, and note."""
+        """Build heading, tables (success rates as a matrix, all rates, differences between policies) and note."""
         report = self._first_report
         metadata, baseline = report.metadata, self.givers[0]
         titles = [N_EPISODES.title, "success gain, points", "contact gain, points"]
@@ -154,7 +154,7 @@ class CrossPlay(TabularResult):
         return ReportTable(["giver", "receiver", *(column.title for column in columns)], rows, n_keys=2)
 
     def _format_gains(self, pair: PolicyPair, baseline: PolicyPair) -> list[object]:
-        """Return cells: number of scenes; success and contact rate minus those of `baseline` (percentage points)."""
+        """Return table cells: number of scenes, and gains of `pair` over `baseline` in success and contact (points)."""
         sides = [self.reports[each].episodes for each in (pair, baseline)]
         differences = [
             estimate_paired_difference(*([bool(each.status & status) for each in side] for side in sides))
@@ -176,8 +176,7 @@ def crossplay(
     """Evaluate every giver with every receiver.
 
     Args:
-        givers: Givers, each as for `evaluate_pair`; the first one is the baseline to which the rates of the others are
-            compared.
+        givers: Givers, each as for `evaluate_pair`; the rates of the others are compared to those of the first one.
         receivers: Receivers, each as for `benchmark`.
         setup: Official setup, "s0" to "s3", or a setup of other data; default: the first of the dataset.
         split: "train", "val" or "test".
@@ -185,8 +184,7 @@ def crossplay(
             result folder for each pair and `crossplay.md`, `crossplay.csv` and `crossplay.png`.
 
     Raises:
-        OptionError: No giver or no receiver is given, two different ones have the same label, or
-            matplotlib is missing although an output folder is given.
+        OptionError: No giver or receiver is given, different ones have one label, or matplotlib is missing for `out`.
         HandoverError: The same errors as `evaluate_pair`.
     """
     config, execution = build_configs(options, setup=setup, split=split)
@@ -211,11 +209,14 @@ def crossplay(
 def resolve_policies(
     agent: str, policies: Sequence[PolicyLike] | PolicyLike, dataset: Dataset, config: EvaluationConfig, trust: bool
 ) -> list[PolicyReference]:
-    """Return references of the policies of one agent, without duplicates, in the given order.
+    """Return references to the policies of an agent ("giver", "receiver"), in the given order, without duplicates.
 
-    With `trust`, modules that policy files name may be imported. Different policies with one label raise `OptionError`.
+    `policies` is one policy or a sequence; a tuple (policy, dict of options) is one policy. With `trust`, modules that
+    policy files name may be imported. Different policies with the same label raise `OptionError`.
     """
-    requested: Any = [policies] if isinstance(policies, (str, type, Policy, PolicyReference)) else policies
+    is_pair = isinstance(policies, tuple) and any(isinstance(part, Mapping) for part in policies)
+    is_one = is_pair or isinstance(policies, (str, type, Policy, PolicyReference))
+    requested: Any = [policies] if is_one else policies
     if not isinstance(requested, Sequence) or not requested:
         raise OptionError(f"{agent}s must name at least one {agent}, got {policies!r}")
     references: dict[str, PolicyReference] = {}

@@ -83,7 +83,7 @@ def test_reports_state_the_inference_time(folders: dict[float | None, Path], tmp
     compared = str(handover_marl.compare(folder, folders[None]))
     assert f"Inference time differs: {LATE} and 0 (the person waits)." in compared
     same = {key: value for key, value in OPTIONS.items() if key not in ("giver", "receiver")}
-    crossed = handover_marl.crossplay("replay", "hold", inference_time=LATE, world_config=SHORT, **same)
+    crossed = handover_marl.crossplay(("replay", {}), "hold", inference_time=LATE, world_config=SHORT, **same)
     assert label in str(crossed)
     assert next(csv.DictReader(crossed.to_csv().splitlines()))["inference_time"] == str(LATE)
 
