@@ -1,9 +1,10 @@
 """Receivers: policies of the robot.
 
-`hold` and `random` are simple baselines, `yang2021` is a baseline of HandoverSim, and `omg`,
-`omg_hand_aware` and `omg_unchecked_last` plan motions. `reactive` follows the true poses of object and hand; `vision`
-and `gaddpg` use point clouds of the wrist camera. `learned:FILE` is a trained policy. A new receiver is a subclass of
-`Receiver`; packages register receivers by name in the entry-point group `handover_marl.receivers`.
+`hold` and `random` are simple baselines, `yang2021` is a baseline of HandoverSim, and `omg`, `omg_hand_aware` and
+`omg_unchecked_last` plan motions. `reactive` follows the true poses of object and hand; `vision` and `gaddpg` use point
+clouds of the wrist camera. `dagger` and `learned:FILE` are trained networks. In each episode, `population` acts as a
+receiver that is drawn from a set of receivers. A new receiver is a subclass of `Receiver`; packages register receivers
+by name in the entry-point group `handover_marl.receivers`.
 """
 
 from handover_marl.datasets import Dataset
@@ -28,6 +29,6 @@ def make(policy: PolicyLike, dataset: Dataset | None = None, trust: bool = False
 
     Raises:
         UnknownNameError, OptionError: There is no such receiver or option, or an option has a wrong value.
-        HandoverError: The default dataset cannot be opened.
+        HandoverError: The receiver cannot be created, or the default dataset cannot be opened.
     """
     return parse_policy("receiver", policy, trust).make(dataset, setup=setup)

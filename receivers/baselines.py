@@ -21,7 +21,7 @@ class HoldReceiver(Receiver):
         """Do nothing; the receiver has no state."""
 
     def act(self, observation: Observation) -> Action:
-        """Return the start configuration with open fingers as target, whatever the observation."""
+        """Return the start configuration (9,) (rad, m) with open fingers as target, whatever the observation."""
         return np.array(self.context.panda.start_joints, dtype=np.float32)
 
 

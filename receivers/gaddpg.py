@@ -8,12 +8,12 @@ line. It uses neither the person's hand nor true poses.
 Details of the authors' scripts that determine the results:
 
 - The receiver waits at the robot's start configuration, not at the waiting pose of other methods.
-- While the object is out of sight, the policy uses the last point cloud in which the object was
-  visible. Each further decision uses fewer points, which are drawn at random with a fixed seed.
-  Clouds and intermediate poses are rounded to float32 in the robot's base frame.
-- If the object has moved by more than 0.1 m since the last view, five decisions are added, up to
+- While the object is out of sight, the policy uses the last point cloud in which the object was visible. Each decision
+  keeps fewer points of a new cloud than the decision before; they are drawn at random with a fixed seed. Clouds and
+  intermediate poses are rounded to float32 in the robot's base frame.
+- If the mean of the cloud has moved by more than 0.1 m since the last cloud, five decisions are added, up to
   `max_steps` (20 in the authors' scripts).
-- Before the first view the start configuration is commanded and no decision is counted.
+- Before the object is first visible, the start configuration is commanded and no decision is counted.
 - Each decision makes one inverse kinematics query from the present joints, converged or not.
 - The end of the approach is checked in the last millisecond of each decision. More than 50 of 1,024 points between the
   fingers, repetitions included, end the approach at any pose of the hand link.
@@ -74,8 +74,8 @@ GaddpgFunction = Callable[[Array, int], npt.ArrayLike]
 class PointCloudMemory:
     """Memory of the object's last point cloud, and of the number of decisions left before the gripper closes.
 
-    GA-DDPG's scripts call the cloud accumulated, but each view replaces it. Random points are selected with the same
-    seed in every episode.
+    GA-DDPG's scripts call the cloud accumulated, but each camera image with points of the object replaces it.
+    `max_steps` is the largest number of decisions. Random points are selected with the same `seed` in every episode.
 
     Attributes:
         cloud: (3, n) float64 points of the object in the robot's base frame (m); n = 0 before its first view.
@@ -111,10 +111,10 @@ class PointCloudMemory:
         self._mean = mean
 
     def make_network_input(self, base_from_hand: Array) -> Array:
-        """Return the network's input for a pose (4, 4) of the hand link: points of gripper and object in its frame.
+        """Return the network's input (4, 1030) float64 for a pose (4, 4) of the hand link in the base frame.
 
-        Returns:
-            (4, 1030) float64: three rows of positions (m), and a row that is 1 for the six gripper points, else 0.
+        The columns are 6 gripper points and 1024 object points. The first three rows are positions in the hand link's
+        frame (m), the last row is 1 for gripper points, else 0.
         """
         hand = _transform(_invert_rounded(base_from_hand), self.cloud)
         points = np.zeros((4, GRIPPER_POINTS.shape[1] + _N_POINTS))
@@ -123,7 +123,7 @@ class PointCloudMemory:
         return points
 
     def is_object_caged(self, base_from_hand: Array) -> bool:
-        """Return whether over 50 of 1024 points (some repeated) are between the fingers at a hand pose (4, 4)."""
+        """Return whether over 50 of 1024 points (some repeated) are between the fingers at a hand link pose (4, 4)."""
         if self.cloud.shape[1] == 0:
             return False
         hand = _transform(_invert_rounded(base_from_hand), self.cloud)
@@ -153,9 +153,9 @@ class GaddpgReceiver(PhasedReceiver):
         weights: File or folder of the original authors' checkpoint, or an .npz file that
             `experiments/training/train_gaddpg.py` wrote; needs PyTorch. Default: the library's own weights, with which
             the hand link moves to the predicted grasp. Result labels of .npz weights contain "own weights".
-        wait: Time at the start configuration (s): 3 for the published variant "hold", 0 for "w/o hold".
-        max_steps: Maximum number of decisions of an approach, RL_MAX_STEP in the configuration of
-            the trained model. Default: the value in the library's own weights (30), or else 20.
+        wait: Time at the start configuration (s): 3 (default) for the published variant "hold", 0 for "w/o hold".
+        max_steps: Maximum number of decisions of an approach, RL_MAX_STEP in the configuration of the authors' model.
+            Default: the value in an .npz file (30 in the library's own), otherwise 20.
 
     Attributes:
         memory: Memory of the object's last point cloud.
@@ -186,7 +186,7 @@ class GaddpgReceiver(PhasedReceiver):
         self._start_approach()
 
     def _start_approach(self) -> None:
-        """Forget the decisions of earlier episodes."""
+        """Reset the state of the approach, at the start of an episode."""
         self._decided, self._is_checked = -1, True
         self._target = self._start
         self._close_ms: int | None = None
@@ -228,7 +228,7 @@ class GaddpgReceiver(PhasedReceiver):
         return self._carry(observation, closed_ms)
 
     def _check_end(self, observation: Observation) -> None:
-        """Check whether the last decision ends the approach; only once for a decision, since the check draws points."""
+        """Set `_close_ms` if the last decision ends the approach; checked once a decision, since this draws points."""
         if self._is_checked:
             return
         self._is_checked = True
@@ -236,7 +236,7 @@ class GaddpgReceiver(PhasedReceiver):
             self._close_ms = self._wait_ms + (self._decided + 1) * self.step_ms
 
     def _decide(self, observation: Observation) -> Array:
-        """Return the target joints (9,) (rad, m) of the next decision; the start joints before any view."""
+        """Update the memory, and return the next target joints (9,) (rad, m); the start joints before any points."""
         points = observation["wrist_object_cloud"][: int(observation["wrist_point_counts"][0])]
         pose = self._base_from_hand(observation)
         self.memory.update(points, pose)
@@ -252,7 +252,7 @@ class GaddpgReceiver(PhasedReceiver):
         return solver.solve_step(observation["robot_joint_position_exact"], target[:3], target[3:])
 
     def _plan_retreat(self, observation: Observation) -> list[Array]:
-        """Return joints (9,) at waypoints on the straight path to the goal, whose positions are computed in float32."""
+        """Return joints (9,) (rad, m) at waypoints on the straight line to the goal; their positions are in float32."""
         position = observation["gripper_pose"][:3].copy()
         offset = np.array(self.context.protocol.goal_center) - position
         length = np.linalg.norm(offset)
@@ -277,7 +277,7 @@ class GaddpgReceiver(PhasedReceiver):
 
 
 def _load_network(network: GaddpgFunction | None, weights: str | None) -> tuple[GaddpgFunction, str, int | None]:
-    """Return the function of a network or of weights, the label of results, and the weights' `max_steps` or None."""
+    """Return `network` or the function of the weights, the receiver's label, and the weights' `max_steps` or None."""
     if network is not None and weights is not None:
         raise OptionError("receiver 'gaddpg' takes either a network or weights, not both")
     if network is not None:
@@ -308,7 +308,7 @@ def _matrix_from_step(step: Array) -> Array:
 
 
 def _rotation_matrix(quaternion: Array) -> Array:
-    """Return the rotation matrix (3, 3) of a quaternion xyzw of any length; the engine rounds them to float32."""
+    """Return the rotation matrix (3, 3) of a quaternion xyzw, whose length differs from 1 by rounding to float32."""
     x, y, z, w = quaternion
     scale = 2.0 / (w * w + x * x + y * y + z * z)
     wx, wy, wz = w * (x * scale), w * (y * scale), w * (z * scale)

@@ -17,7 +17,8 @@ Array = npt.NDArray[np.float64]
 def load_gripper_poses(grasps: Callable[[str], Array | None], object_name: str) -> Array | None:
     """Return the gripper poses (n, 7) at the known grasps of an object class, in the object's frame; cached.
 
-    The function `grasps` is `PolicyContext.load_grasps`. A class without grasps gives None.
+    The gripper frame of grasp files is the hand link's frame rotated by 90 degrees about z, the approach axis. The
+    function `grasps` is `PolicyContext.load_grasps`. For a class without grasps, None is returned.
     """
     matrices = grasps(object_name)
     return None if matrices is None or not len(matrices) else poses_from_matrices(matrices)
@@ -34,7 +35,7 @@ class GraspTable:
 
     `find` calls the function `load` once for each class, with the class number. `load` returns a tuple of NumPy arrays
     with a row for each grasp, or None for a class without grasps. The attribute `arrays` has a padded array for each
-    array of this tuple; `is_grasp` (c, g) is False at padding.
+    array of this tuple, made by the argument `arrays`; `is_grasp` (c, g) is False at padding.
     """
 
     def __init__(self, load: Callable[[int], tuple[Array, ...] | None], arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
@@ -46,7 +47,7 @@ class GraspTable:
         self.is_grasp = arrays.zeros((0, 0), "bool")
 
     def find(self, classes: AnyArray) -> AnyArray:
-        """Return the rows (r,) in `arrays` of class numbers (r,), -1 for classes without grasps; load new classes."""
+        """Return the indices (r,) in `arrays` of class numbers (r,), -1 without grasps; load classes that are new."""
         numbers, n_before = to_numpy(classes).astype(int).tolist(), len(self._known)
         for number in sorted(set(numbers) - self._index.keys()):
             known = self._load(number)

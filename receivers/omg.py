@@ -1,9 +1,9 @@
 """OMG motion planner (Wang et al., RSS 2020) as a receiver, as in HandoverSim.
 
-The receiver waits until the object is held out, plans once to one of the object's grasps, executes the trajectory
-without feedback, closes the fingers and carries the object to the goal in a straight line. The receiver uses the
-object's true pose. `omg` ignores the person's hand, `omg_hand_aware` keeps clear of the hand. All variants need the
-extra `planning`.
+The receiver waits for a fixed time, 3 s by default. Then it plans once to one of the object's grasps, executes the
+trajectory without feedback, closes the fingers and carries the object to the goal in a straight line. It uses the true
+poses of the objects. `omg` ignores the person's hand, `omg_hand_aware` keeps clear of the hand, and
+`omg_unchecked_last` is `omg` with an error of the authors' code. All variants need the extra `planning`.
 """
 
 import logging
@@ -61,7 +61,7 @@ class OmgReceiver(PhasedReceiver):
 
     Attributes:
         world_from_base: (7,) world pose (quaternion xyzw) of the robot's base; plans are in the base's frame.
-        has_planned: Whether the receiver has planned in this episode, successfully or not.
+        has_planned: Whether the receiver has tried to plan in this episode.
         plan: Planned trajectory of this episode; None before planning, or if no grasp is reachable.
     """
 
@@ -88,7 +88,7 @@ class OmgReceiver(PhasedReceiver):
 
     @property
     def planned_goal(self) -> Array | None:
-        """(w, 7) world poses (quaternion xyzw) of the hand link along the plan; None in the retreat or with no plan."""
+        """(w, 7) world poses (xyzw) of the hand link at the plan's waypoints; None without a plan or in the retreat."""
         if self.plan is None or self._retreat:
             return None
         chain = self.arm.compute_chain_frames(self.plan.trajectory)
@@ -96,7 +96,7 @@ class OmgReceiver(PhasedReceiver):
         return np.asarray(compose(np.broadcast_to(self.world_from_base, hand.shape), hand))
 
     def reset(self, seed: int | None = None) -> None:
-        """Start an episode; the receiver is deterministic."""
+        """Start an episode; `seed` is ignored, since the receiver is deterministic."""
         if self._planner is None or self._ik_solver is None:
             # Loaded here so that it does not count as planning time.
             start = np.array(WAITING_JOINTS[:ARM_DOF])
@@ -160,7 +160,7 @@ class OmgReceiver(PhasedReceiver):
         ]
 
     def _find_human_hand(self, observation: Observation, base_from_world: Array) -> Capsules | None:
-        """Return capsules of the person's hand in the robot's base frame, or None if it is ignored or absent."""
+        """Return capsules of the person's hand in the base frame; None without a hand, or if the planner ignores it."""
         hand = hand_capsules_from_observation(observation) if self.config.avoids_hand else None
         if hand is None:
             return None
@@ -192,7 +192,7 @@ class OmgHandAwareReceiver(OmgReceiver):
 
 
 class OmgUncheckedLastReceiver(OmgReceiver):
-    """OMG receiver with the indexing error of the authors' code, which determines most of the selected grasps."""
+    """OMG receiver with the authors' indexing error, which selects most grasps; see `PlannerConfig.unchecked_last`."""
 
     name = "omg_unchecked_last"
     default_config = PlannerConfig(unchecked_last=True)

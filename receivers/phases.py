@@ -35,7 +35,7 @@ class PhasedReceiver(Receiver):
         self._reset_timing()
 
     def _reset_timing(self) -> None:
-        """Forget the commands of earlier episodes."""
+        """Reset the times and the path of the retreat, at the start of an episode."""
         self._now_ms, self._until_ms = 0, math.inf
         self._retreat: list[npt.NDArray[np.float64]] = []
 
@@ -63,4 +63,4 @@ class PhasedReceiver(Receiver):
 
     @abstractmethod
     def _plan_retreat(self, observation: Observation) -> list[npt.NDArray[np.float64]]:
-        """Return configurations of the arm, one for each `step_ms`, along the straight line to the goal."""
+        """Return configurations, arm joints (rad) first, on the straight line to the goal, one for each `step_ms`."""

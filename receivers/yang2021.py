@@ -52,13 +52,13 @@ class YangConfig(CheckedConfig):
         wait: Time at the waiting pose (s).
         decision_period: Time between decisions during the approach (s).
         close_time: Time for which the fingers close (s).
-        close_decision_period: Time between decisions while the fingers close; longer ones are faster in batches (s).
+        close_decision_period: Time between decisions while the fingers close (s); longer times make batches faster.
         standoff: (7,) standoff pose (quaternion xyzw) of the hand link, relative to its pose at the grasp.
         preferred_pose: (7,) preferred world pose (quaternion xyzw) of the hand link; standoffs near it cost less.
-        rotation_weight: Weight of rotations relative to squared distances in a standoff's cost (m^2).
+        rotation_weight: Weight of rotations in a standoff's cost (m^2); see `compute_pose_distances`.
         max_candidates: Maximum number of grasps that are checked for reachability.
-        region_width: Largest distance of the hand link from the line between standoff and grasp at which it moves
-            straight to the grasp, for a line of length 0 (m).
+        region_width: Distance of the hand link from the line between standoff and grasp below which the link moves
+            straight to the grasp (m). It is multiplied by 1 + `region_slope` times the length of the line.
         region_slope: Relative increase of this distance per meter of the line's length (1/m).
         region_max_width: Upper limit of this distance (m).
         angle_tolerance: Maximum rotation error of the hand link near the line and at the grasp (rad).
@@ -95,7 +95,7 @@ class Yang2021Receiver(ArrayPolicy, Receiver):
     """Receiver `yang2021`, the reactive baseline of Yang et al. (2021).
 
     The receiver decides every 0.1 s during the approach, every millisecond while the fingers close (the target is then
-    the present configuration), and once afterwards. It computes in NumPy arrays, also for episodes in tensors.
+    the present configuration), and once afterwards. It computes in NumPy arrays, also if the actions are tensors.
 
     Args:
         context: The robot, the task, the objects and their grasps.
@@ -209,9 +209,9 @@ class Yang2021Receiver(ArrayPolicy, Receiver):
         return self._arrays.asarray(np.where(waits[:, None], panda.WAITING_JOINTS, actions).astype(np.float32))
 
     def _find_places(self, rows: Indices, approaches: Flags, hands: npt.NDArray[np.float32]) -> tuple[Flags, Flags]:
-        """Return two masks (r,) for hand links at poses (r, 7): whether near the line to the grasp, and at the grasp.
+        """Return two masks (r,) for hand link poses (r, 7): near the line from standoff to grasp, and at the grasp.
 
-        Both are False where `approaches` (r,) is False.
+        Both are False where `approaches` (r,) is False, or no grasp is selected.
         """
         config = self.config
         in_region, at_grasp = np.zeros((2, len(rows)), dtype=bool)
@@ -232,7 +232,7 @@ class Yang2021Receiver(ArrayPolicy, Receiver):
         return in_region, at_grasp
 
     def _move_to_standoffs(self, rows: Indices, observation: Observation) -> Array:
-        """Select the cheapest reachable standoffs; return the arm joints (r, 7) in rad there, nan if none is found."""
+        """Store the cheapest reachable standoffs in `selected`; return arm joints (r, 7) in rad there, nan if none."""
         joints = observation["robot_joint_position"]
         arms = np.full((len(joints), ARM_DOF), np.nan)
         index = self._table.find(observation["object_classes"][:, 0])

@@ -20,15 +20,14 @@ class GraspSelectorConfig(CheckedConfig):
     """Configuration of grasp selection; the costs of a grasp (s) are added to the travel time of the arm.
 
     Attributes:
-        max_candidates: Maximum number of grasps for which inverse kinematics is solved.
+        max_candidates: Maximum number of grasps for which IK is solved in a decision; fourfold with offset grasps.
         desired_clearance: Desired clearance of the gripper to the person's hand (m).
         clearance_cost: Cost per meter by which the clearance is below `desired_clearance` (s/m).
-        min_clearance: Initial minimum clearance to the person's hand (m). It decreases while no grasp has it.
+        min_clearance: Initial minimum clearance of gripper to person's hand (m). It decreases while no grasp has it.
         hard_min_clearance: Lower bound of the decreasing minimum clearance (m).
         offset_delay: Time without a good grasp after which offset grasps (shifted and tilted copies) are added (s).
         offset_cost: Additional cost of an offset grasp, which is not validated (s).
-        partial_hold_cost: Cost of grasps that do not always hold the object (s): factor on 1 minus their success rate
-            in validation.
+        partial_hold_cost: Cost of grasps that do not always hold the object (s): factor on 1 minus the success rate.
     """
 
     default_limits: ClassVar[tuple[float, float]] = (0.0, math.inf)
@@ -47,11 +46,9 @@ class GraspSelectorConfig(CheckedConfig):
 class ApproachConfig(CheckedConfig):
     """Configuration of the approach from the standoff pose, and of closing the fingers.
 
-    Axial distances are measured along the approach axis of the gripper, lateral ones across it.
-
     Attributes:
-        standoff: Distance of the standoff pose from the grasp (m). There, the gripper waits for the object to rest.
-        lateral_tolerance: Maximum lateral distance at the grasp (m).
+        standoff: Distance of the standoff pose from the grasp (m). There, the gripper waits until the object is slow.
+        lateral_tolerance: Maximum position error across the approach axis at the grasp (m).
         rotation_tolerance: Maximum rotation error at the grasp (rad).
         speed: Maximum speed along the approach axis (m/s).
         max_object_speed: Speed of the object above which the gripper does not come closer (m/s).
@@ -78,8 +75,8 @@ class RetreatConfig(CheckedConfig):
     """Configuration of the retreat with the object to the goal.
 
     Attributes:
-        speed: Maximum speed of the gripper on the straight path (m/s).
-        acceleration: Acceleration of the gripper on the straight path (m/s^2).
+        speed: Maximum speed of the gripper on the straight path out of the person's hand (m/s).
+        acceleration: Acceleration of the gripper on this path (m/s^2).
     """
 
     default_limits: ClassVar[tuple[float, float]] = (0.0, math.inf)
@@ -95,11 +92,10 @@ class ReactiveConfig(CheckedConfig):
     Attributes:
         period: Control period (s).
         near_period: Control period of the approach while object or hand moves near the gripper (s).
-        min_lift: Distance from its first position above which an object counts as lifted (m).
+        min_lift: Distance of an object from its first position above which the object counts as lifted (m).
         n_surface_spheres: Number of spheres that approximate an object.
         surface_radius: Radius of the spheres that approximate an object (m).
-        n_surface_points: Number of random points on an object's surface. Finger contacts are computed from these
-            points and the vertices of the mesh.
+        n_surface_points: Number of random points on an object's surface, used for finger contacts besides its vertices.
         selection: Configuration of grasp selection.
         preparation: Configuration of tilted copies and of the validation of known grasps.
         approach: Configuration of the approach and of closing the fingers.
@@ -129,8 +125,10 @@ class ReactiveConfig(CheckedConfig):
 def apply_risk(config: ReactiveConfig, risk: float) -> ReactiveConfig:
     """Return a copy of `config` with another trade-off between success rate and speed.
 
-    The risk is a number from 0 to 1: 0.5 changes nothing, 0 divides the speeds of the robot and the speed limits of
-    approached objects by four, 1 multiplies them by four. Other risks raise `OptionError`.
+    The risk is a number from 0 to 1: 0.5 changes nothing, 0 divides the speeds of final approach and retreat and the
+    speed limits of approached objects by four, 1 multiplies them by four. Time constants of clearances, and costs of
+    low clearances and of uncertain grasps, change by the inverse factor. Above 0.5, larger errors at the grasp are
+    allowed, too. Other numbers raise `OptionError`.
     """
     if isinstance(risk, bool) or not isinstance(risk, (int, float)) or not 0.0 <= risk <= 1.0:
         raise OptionError(f"risk must be a number from 0 to 1, got {risk!r}")

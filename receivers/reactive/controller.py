@@ -61,7 +61,7 @@ class HandoverController:
     """State machine of the receiver `reactive` during one episode.
 
     Args:
-        motion: Controller of the motion; the caller updates its estimate of the scene before each step.
+        motion: Controller of the motion; the caller updates `motion.scene`, the scene estimate, before each step.
         selector: Grasp selector; the caller sets its candidates.
         goal: (3,) goal of the hand link's position in the world (m).
         wait: Time at the waiting pose (s).
@@ -95,7 +95,7 @@ class HandoverController:
         return np.stack([self._selector.compute_standoff_pose(grasp), grasp])
 
     def step(self) -> Action:
-        """Return the next action (9,), target joint positions (rad, m); update the phase and the control period."""
+        """Return the next action (9,), target joint positions (rad, m); update `phase` and the servo's period."""
         config, servo = self._config, self._motion.servo
         is_watchful = self._is_approaching and self._scene.has_motion_nearby
         servo.period = config.near_period if is_watchful else config.period
@@ -159,7 +159,7 @@ class HandoverController:
         return motion.move_closed(velocity, _CLOSE_ACCELERATION)
 
     def _catch(self) -> Action:
-        """Close the fingers around an object that was released too early; back out if the object is out of reach."""
+        """Return an action that catches an object released too early, or backs out if the object is out of reach."""
         config, scene, motion = self._config.approach, self._scene, self._motion
         chosen, period = self._selector.chosen, config.close_period
         if chosen is None or not self._approach_controller.is_catchable(chosen):
@@ -242,7 +242,7 @@ class ControllerReceiver(Receiver):
         return self.servo.period
 
     def start_episode(self, scene: SceneEstimate) -> None:
-        """Reset selector and servo, and create the controller of an episode; `scene` is the estimate that it reads."""
+        """Reset selector and servo, and create the `controller` of an episode, which reads the estimate `scene`."""
         self.servo.reset()
         self.selector.reset()
         motion, goal = MotionController(self.arm, self.servo, scene), np.array(self.context.protocol.goal_center)

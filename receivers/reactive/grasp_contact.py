@@ -1,4 +1,4 @@
-"""Contacts of the finger pads with a grasped object.
+"""Contacts of the finger pads with a grasped object, and the grasps and surfaces of objects that receivers load.
 
 Some grasps pass their validation but hold the object only by the tips or edges of the fingers. When the person releases
 the object, it slips out of such a grasp within a few hundredths of a second.
@@ -45,7 +45,7 @@ class GraspableObject:
     """Grasps and surface of an object in its own frame.
 
     Attributes:
-        grasps: Grasps at which the flange behind the hand link does not touch the object.
+        grasps: Validated grasps, also failed ones, at which the flange behind the hand link is clear of the object.
         pad_margins: (n,) distances of the grasps' contacts from tip and edges of the finger pads (m), see
             `compute_pad_margins`.
         surface: Spheres that coarsely approximate the object's surface.
@@ -61,9 +61,10 @@ class GraspableObject:
 
 
 def load_graspable_object(context: PolicyContext, object_name: str, config: ReactiveConfig) -> GraspableObject:
-    """Load the surface and the validated grasps of an object class; cached. There may be no grasps.
+    """Load the surface and the validated grasps, perhaps none, of an object class; cached.
 
-    Grasps without a stored record are validated in simulation, which may take minutes.
+    Grasps without a stored record are validated in simulation, which takes 20 to 90 s, or a few seconds for datasets
+    with `quick_validation`.
     """
     urdf, known = context.find_object_urdf(object_name), load_hand_poses(context.load_grasps, object_name)
     if known is None:
@@ -103,8 +104,8 @@ def find_offset_grasps(
 ) -> tuple[ValidatedGrasps, Array]:
     """Return n offset copies of an object's grasps, clear of the person's hand, and their pad margins (n,) in m.
 
-    The margins are distances of contacts from the edges of the pads; copies with a small margin are left out. The
-    spheres `human_hand` are in the object's frame.
+    Copies are tilted and shifted, see `perturb_grasps`. Those with a pad margin of at most 4 mm are left out, see
+    `compute_pad_margins`. The spheres `human_hand` are in the object's frame.
     """
     offset = perturb_grasps(graspable.grasps, graspable.points, human_hand, config.approach.standoff)
     margins = compute_pad_margins(offset.poses, graspable.points)
@@ -113,7 +114,7 @@ def find_offset_grasps(
 
 
 def collect_surface_points(vertices: Array, faces: npt.NDArray[np.int_], count: int) -> Array:
-    """Return the vertices of a mesh, followed by `count` points that a fixed seed draws on its surface (m)."""
+    """Return the vertices (v, 3) of a mesh and `count` random points on its surface (m), always the same ones."""
     rng = np.random.default_rng(0)
     corners = vertices[faces]
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
@@ -124,9 +125,10 @@ def collect_surface_points(vertices: Array, faces: npt.NDArray[np.int_], count: 
 def compute_pad_margins(poses: Array, points: Array) -> Array:
     """Return the pad margins (n,) of n grasps: the distances (m) of contacts from the tip and edges of the finger pads.
 
-    The margin of a pad is the largest distance of a touched point from tip and edges; distances from the edges count
-    twice, since fingers are narrow. The margin of a grasp is the smaller one of its two pads, or 0 if no point is
-    between the fingers. Poses (n, 7; xyzw) of the hand link and surface points (k, 3) are in the object's frame.
+    The margin of a point on a pad is its distance from the tip or twice its distance from the nearer edge (fingers are
+    narrow), whichever is less. A pad has the largest margin of the points that it touches, a grasp the smaller margin
+    of its two pads, or 0 if no point is between the fingers. Poses (n, 7; xyzw) of the hand link and surface points
+    (k, 3) are in the object's frame.
     """
     margins = np.zeros(len(poses))
     for number, pose in enumerate(poses):

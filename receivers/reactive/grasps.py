@@ -5,9 +5,8 @@ gripper closes at the grasp and shakes the object. Then the grasp is moved along
 by the first of a list of distances without a collision of the open gripper. There, the gripper closes on an object that
 a person holds and then releases. The library ships with records of these validations, made in PyBullet, for DexYCB's
 objects and its own. Records of other objects are made in MuJoCo and stored in the user's cache folder. A hash of the
-object's files, its known grasps, the configuration and the robot's model identifies a record.
-
-Poses are poses of the Panda's hand link: position (m) and quaternion xyzw.
+object's files, its known grasps, the configuration and the robot's model identifies a record. Offset copies, which are
+tilted and shifted, are not validated. Poses are those of the Panda's hand link: position (m) and quaternion xyzw.
 """
 
 import contextlib
@@ -73,9 +72,8 @@ class GraspPreparationConfig(CheckedConfig):
 
     Attributes:
         tilts: Rotations of the copies about the line between the finger pads (rad).
-        max_copies: Maximum number of stable copies, of all grasps together.
-        lateral_offsets: Offsets in the hand link's frame (fingers close along y) at which the shaking
-            of a stable grasp is repeated (m).
+        max_copies: Maximum number of copies that hold the shaken object, of all grasps together.
+        lateral_offsets: Offsets of a stable grasp at which the shaking is repeated, in the hand link's frame (m).
         advances: Distances (m) by which a grasp may be moved along its approach axis towards the object; the first one
             without a collision is used. Objects slip less in deeper grasps when the person releases them.
         held_time: Time for which the object is held in place while the fingers close (s).
@@ -115,7 +113,7 @@ class ValidatedGrasps:
 
     Attributes:
         poses: (n, 7) poses (quaternion xyzw) of the hand link in the object's frame.
-        success_rates: (n,) share of passed shakings times share of passed releases of each grasp, 0 to 1.
+        success_rates: (n,) share of shakings times share of releases in which the object did not slip, 0 to 1.
     """
 
     poses: Array
@@ -142,7 +140,7 @@ def advance_grasp(pose: Array, distance: float) -> Array:
 
 
 def tilt_grasps(known: Array, config: GraspPreparationConfig) -> Array:
-    """Return copies (m, 7) of grasps (n, 7): one per grasp and angle in `tilts`, about the line between the pads."""
+    """Return copies (m, 7) of grasps (n, 7), rotated about the line between the pads by each angle in `tilts`."""
     offsets = (make_offset_pose(tilt) for tilt in config.tilts)
     return np.concatenate([np.zeros((0, 7)), *(compose(known, offset) for offset in offsets)])
 
@@ -160,11 +158,11 @@ def compute_grasp_distances(pose: Array, poses: Array, rotation_weight: float, d
 
 
 def perturb_grasps(grasps: ValidatedGrasps, points: Array, hand: Spheres, sweep: float) -> ValidatedGrasps:
-    """Return offset copies of stable grasps that keep clear of a person's hand and of the object.
+    """Return offset copies (tilted, shifted) of stable grasps, at most 1500, clear of a person's hand and the object.
 
     Surface points (k, 3) of the object and the spheres `hand` are in the object's frame. The gripper must keep clear of
     the hand on a straight approach of length `sweep` (m), too. Copies are not validated in simulation, but they have
-    the object between the fingers, and the success rates of the stable grasps.
+    the object between the fingers. Each copy has the success rate, above 0, of the grasp of which it is a copy.
     """
     is_stable = grasps.success_rates > 0.0
     poses, rates = grasps.poses[is_stable], grasps.success_rates[is_stable]
@@ -183,7 +181,7 @@ def perturb_grasps(grasps: ValidatedGrasps, points: Array, hand: Spheres, sweep:
 
 
 def make_offset_pose(tilt: float, lateral: float = 0.0, backward: float = 0.0) -> Array:
-    """Return the pose (7,) of a copy of a grasp in the grasp's frame, with a `tilt` (rad) about the line between pads.
+    """Return the pose (7,) of a copy of a grasp, in the grasp's frame: a tilt about the line between the pads (rad).
 
     The copy is also moved by `lateral` (m) along x, across that line, and by `backward` (m) along -z.
     """
@@ -238,7 +236,7 @@ def get_validation_record(
 
 
 def has_shipped_record(object_urdf: Path, panda_urdf: Path, known: Array, config: GraspPreparationConfig) -> bool:
-    """Return whether a validation record ships for these arguments of `validate_grasps`."""
+    """Return whether the library ships with the validation record for these arguments, as for `validate_grasps`."""
     path = get_validation_record_path(object_urdf, panda_urdf, known, config)
     return load_validation_record(path.stem) is not None
 
@@ -246,7 +244,7 @@ def has_shipped_record(object_urdf: Path, panda_urdf: Path, known: Array, config
 def get_validation_record_path(
     object_urdf: Path, panda_urdf: Path, known: Array, config: GraspPreparationConfig
 ) -> Path:
-    """Return the cache path of a validation record of known grasps; a shipped record has the path's stem as name."""
+    """Return the path of a validation record in the user's cache; the stem of the path is the name of the record."""
     # Another robot may have other masses and friction of the fingers; the folder of its meshes has no influence.
     robot = re.sub(rb'filename="[^"]*/', b'filename="', read_plain_file(panda_urdf, MAX_URDF_BYTES))
     key = f"{_VERSION} {_make_preparation_key(config)}".encode()
@@ -255,7 +253,7 @@ def get_validation_record_path(
 
 
 def _make_preparation_key(config: GraspPreparationConfig) -> str:
-    """Return the text of a configuration in the hash that identifies a record; shipped records depend on its form."""
+    """Return a configuration as text for the hash of a record; names of shipped records depend on this exact text."""
     conditions = config.validation
     return (
         f"GraspTrials(tilts={config.tilts}, pads={PAD_DISTANCE}, apart={_MIN_DISTANCE}, "
@@ -329,7 +327,7 @@ def _count_kept(validator: "GraspValidator", pose: Array, config: GraspPreparati
 
 
 def _gripper_matrix(hand: Array) -> Array:
-    """Return the gripper's pose (4, 4), as grasp files define it, at a pose (7,) of the hand link."""
+    """Return the pose (4, 4) of the gripper frame of grasp files, at a pose (7,) of the hand link."""
     gripper = compose(hand, _HAND_FROM_GRIPPER)
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = Rotation.from_quat(gripper[3:]).as_matrix(), gripper[:3]

@@ -52,7 +52,10 @@ _SPEED_FACTORS = np.array([1.0, 0.6, 0.35, 0.2, 0.1, 0.05, 0.0])
 
 
 class MotionController:
-    """Controller that converts joint velocities to actions that keep clear of the person's hand and of objects.
+    """Controller that converts joint velocities to actions (9,) that keep clear of the person's hand and of objects.
+
+    Joint velocities (7,) (rad/s) that methods take are wanted ones. They are changed to keep clear of bodies, unless a
+    method ignores these, and limited to the servo's speeds and accelerations.
 
     Args:
         arm: Kinematics of the arm.
@@ -64,11 +67,11 @@ class MotionController:
         self.arm, self.servo, self.scene, self._config = arm, servo, scene, scene.config.separation
 
     def move_home(self) -> Action:
-        """Return the action towards the robot's waiting pose, ignoring the person's hand."""
+        """Return the action towards the robot's waiting pose, ignoring person and objects."""
         return self.move_open(self.servo.compute_goal_velocity(self.scene.arm_joints, HOME))
 
     def search(self) -> Action:
-        """Return the action towards the configuration of `SceneEstimate.plan_search`, clear of the person's hand."""
+        """Return the action towards the configuration of `SceneEstimate.plan_search`, clear of hand and obstacles."""
         velocity = self.servo.compute_goal_velocity(self.scene.arm_joints, self.scene.plan_search())
         return self.move_open(self._separate(velocity, self._config.hand_clearance))
 
@@ -99,10 +102,7 @@ class MotionController:
         return self.move_closed(self._separate(velocity, self._config.hand_clearance, leaving=True))
 
     def catch(self, velocity: Array, acceleration: float) -> Action:
-        """Return the action that catches a falling object, with joint velocities (7,) (rad/s) and closing fingers.
-
-        The action keeps clear of the person's hand; `acceleration` is the maximum joint acceleration (rad/s^2).
-        """
+        """Return the action that closes the fingers around a falling object; `acceleration` is as in `move_closed`."""
         return self.move_closed(self._separate(velocity, self._config.grasp_hand_clearance), acceleration)
 
     def move_open(self, velocity: Array) -> Action:
@@ -135,7 +135,7 @@ class MotionController:
             clearance: Minimum clearance to the person's hand (m).
             config: Other clearances; default: the configuration of the receiver.
             surface: Surface of the object to keep clear of, in its frame; default: ignore the object.
-            leaving: Whether the robot withdraws from bodies that may be too close.
+            leaving: Whether it suffices, as in a retreat, not to come closer to bodies that are too close already.
         """
         scene, bodies, config = self.scene, list[MovingBody](), config or self._config
         if surface is not None:
@@ -171,7 +171,7 @@ class ApproachController:
         self._last_position, self._last_position_at = np.zeros(3), -np.inf
 
     def step(self) -> Action | GraspGoal:
-        """Return the next action, or the grasp if the fingers close now; search if no grasp is suitable."""
+        """Return the next action, or the grasp if the fingers can close now; without a suitable grasp, search."""
         goal = self._select_goal()
         if goal is None:
             self.is_near = False
@@ -204,7 +204,7 @@ class ApproachController:
         return float(np.linalg.norm(error[:3])) < _CATCH_DISTANCE
 
     def _compute_object_speed(self, position: Array) -> float:
-        """Return the object's speed (m/s): relative to the gripper if it is held and moves slowly, else in the world.
+        """Return the object's speed (m/s): relative to the gripper if `tolerance_factor` is 2, else in the world.
 
         The gripper is now at `position` (3,) in the grasp's frame (m).
         """
@@ -216,7 +216,7 @@ class ApproachController:
         return scene.motion.speed
 
     def _select_goal(self) -> GraspGoal | None:
-        """Return the grasp to approach: the previous one while the fingers are close to it; None if there is none."""
+        """Return the grasp to approach, or None; select again every control period until the gripper is close to it."""
         scene, chosen = self._scene, self._selector.chosen
         if chosen is not None:
             error = self._selector.compute_pose_in_grasp(chosen, scene.object_pose, scene.gripper_pose)
@@ -233,7 +233,7 @@ class ApproachController:
         return goal
 
     def _compute_next_depth(self, axial: float, lateral: float, rotation: float) -> float:
-        """Return the next axial distance (m) from a grasp, given axial and lateral distance (m) and rotation error.
+        """Return the next axial distance (m) from a grasp, given the axial, lateral (m) and rotation errors (rad) now.
 
         It decreases while the gripper is aligned and the object is slow; else the gripper waits or goes back.
         """

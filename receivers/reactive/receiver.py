@@ -12,7 +12,7 @@ from handover_marl.receivers.reactive.scene_estimate import PoseSceneEstimate
 
 
 class ReactiveReceiver(ControllerReceiver):
-    """Receiver that follows the moving object; it uses the true poses of object and hand.
+    """Receiver that follows the moving object; it observes the true poses of objects and hand, and the release.
 
     While the person lifts the object, the gripper moves to a standoff in front of a grasp at the predicted handover
     pose. It approaches the grasp in a straight line relative to the moving object, closes the fingers, backs out and
@@ -52,7 +52,7 @@ class ReactiveReceiver(ControllerReceiver):
             load_obstacle(self.context, name)
 
     def reset(self, seed: int | None = None) -> None:
-        """Start an episode; the receiver is deterministic."""
+        """Start an episode; `seed` is ignored, since the receiver is deterministic."""
         self._object_name = ""
         self._scene = PoseSceneEstimate(
             self.arm, self.config, lambda name: load_obstacle(self.context, name), self.context.object_names

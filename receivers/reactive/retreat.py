@@ -60,7 +60,7 @@ class RetreatController:
         servo: Servo of the arm, with speed limits and control period.
         goal: (3,) goal of the hand link's position in the world (m).
         config: Configuration of the retreat.
-        start: (7,) world pose (quaternion xyzw) of the hand link when the person released the object.
+        start: (7,) world pose (quaternion xyzw) of the hand link at the start of the retreat.
         held: (k, 3) points of the object in the hand link's frame (m).
         person: Spheres that approximate the person's hand in the world, or None if there is no hand.
         obstacles: Spheres that approximate the other objects in the world, or None if there are none.
@@ -115,7 +115,7 @@ class RetreatController:
         return time - self._remaining_at > _STALL_TIMEOUT
 
     def _select_end(self, joints: Array, gripper_pose: Array) -> Array:
-        """Return a configuration (7,) (rad) with the hand link near the goal, to which the path is clear and short.
+        """Return a configuration (7,) (rad) with the hand link near the goal, and a clear and short joint path to it.
 
         The path must be clear of the arm itself; if none is, the fastest of all is chosen. Paths clear of other objects
         are preferred, then those clear of the person's hand, then the fastest.
@@ -131,7 +131,7 @@ class RetreatController:
         return np.asarray(ends[beside[0] if beside else order[0]])
 
     def _solve_ends(self, joints: Array, gripper_pose: Array) -> tuple[Array, Array]:
-        """Return configurations (n, 7) near the goal, and travel times (n,) in s, longer if unreached or rejected."""
+        """Return configurations (n, 7) near the goal, and travel times (n,) (s), very long if unreached or rejected."""
         here = Rotation.from_quat(gripper_pose[3:])
         home = (Rotation.from_quat(self._arm.compute_hand_pose(HOME)[3:]) * here.inv()).as_rotvec()
         rotations = [(Rotation.from_rotvec(share * home) * here).as_quat() for share in _ROTATION_SHARES]

@@ -1,4 +1,4 @@
-"""Estimated state of robot, object and person's hand, used by the receiver `reactive`."""
+"""Estimated state of robot, object and person's hand, used by the receivers `reactive` and `vision`."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
@@ -70,7 +70,7 @@ class SceneEstimate(ABC):
         self.gripper_pose = self._arm.compute_hand_pose(self.arm_joints)
 
     def set_obstacles(self, spheres: Spheres) -> None:
-        """Set `obstacles` to those of the spheres (world frame) that are within reach of the arm."""
+        """Set `obstacles` to the spheres (world frame) with centers within reach of the arm, None if there are none."""
         reachable = spheres.select_within(self._arm.base[:3], _OBSTACLE_REACH)
         self.obstacles = reachable if len(reachable.radii) else None
 
@@ -82,16 +82,16 @@ class SceneEstimate(ABC):
         """
 
     def predict_point_twist(self, point: Array, ahead: float) -> tuple[Array, Array]:
-        """Predict linear (m/s) and angular velocity (rad/s), world frame, of a point (3,) that moves with the object.
+        """Predict linear (m/s) and angular velocity (rad/s), world frame, of a world point (3,) fixed to the object.
 
-        The velocities are predicted for the middle of the coming control period, `ahead` (s) long.
+        The linear velocity is extrapolated to the middle of the coming control period, which lasts `ahead` (s).
         """
         return self.motion.predict_point_twist(point, ahead)
 
     def predict_bodies(self, handover_pose: Array, surface: Spheres) -> Spheres:
-        """Return spheres in the world: those of object and person's hand at the handover pose, and of other objects.
+        """Return spheres in the world: of object and person's hand at the handover pose, and of other objects.
 
-        `handover_pose` (7,) is the object's world pose (quaternion xyzw) then; `surface` is in the object's frame.
+        `handover_pose` (7,) is the object's world pose (quaternion xyzw) there; `surface` is in the object's frame.
         """
         human_hand = self.person.spheres
         bodies = [Spheres(transform_points(handover_pose, surface.centers), surface.radii)]
@@ -112,12 +112,12 @@ class SceneEstimate(ABC):
 
     @property
     def is_known_released(self) -> bool:
-        """Whether the person is known to have released the object."""
+        """Whether the person is known to have released the object; False unless a subclass observes the release."""
         return False
 
     @property
     def is_gripping(self) -> bool:
-        """Whether the closing fingers are blocked by the object, as far as known."""
+        """Whether the object seems to block the closing fingers; True unless a subclass measures the fingers."""
         return True
 
     @property
@@ -161,7 +161,7 @@ class SceneEstimate(ABC):
 
     @property
     def tolerance_factor(self) -> float:
-        """Factor on tolerances of the approach: 2 for a held object that moves slowly, else 1."""
+        """Factor on tolerances of the approach: 2 for an object that is held almost still, but not at rest, else 1."""
         is_moving = self.motion.is_held_still and self.motion.rest_time == 0.0
         return _HELD_STILL_TOLERANCE_FACTOR if is_moving else 1.0
 
@@ -172,7 +172,7 @@ class PoseSceneEstimate(SceneEstimate):
     Args:
         arm: Kinematics of the arm.
         config: Configuration of the receiver.
-        load_obstacle: Function that returns spheres at the surface of an object class, in the object's frame.
+        load_obstacle: Function of a class name that returns spheres at the object's surface, in the object's frame.
         object_names: Class name of each class number in observations.
 
     Attributes:
@@ -211,7 +211,7 @@ class PoseSceneEstimate(SceneEstimate):
         return self._is_released
 
     def predict_point_twist(self, point: Array, ahead: float) -> tuple[Array, Array]:
-        """Predict the twist as in the base class; if the gripper pushes the object, return the hand's velocity."""
+        """Predict the twist of a point on the object, or on the person's hand if the gripper pushes the object."""
         relative = self.motion.latest_velocity - self.person.velocity
         is_held = self.person.spheres is not None and not self._is_released
         if is_held and float(np.linalg.norm(relative)) > _MAX_RELATIVE_SPEED:
@@ -226,7 +226,7 @@ class PoseSceneEstimate(SceneEstimate):
 
     @property
     def is_gripping(self) -> bool:
-        """Whether the fingers have stopped: the object is between them, or they are closed."""
+        """Whether the fingers have nearly stopped: the object is between them, or they are closed."""
         return self._closing_rate < _MAX_GRIP_CLOSING_RATE
 
     def _update_obstacles(self, observation: Observation) -> None:

@@ -80,7 +80,7 @@ class GraspGoal:
     """Selected grasp with the arm configurations on the path to the grasp.
 
     Attributes:
-        number: Index of the grasp among the candidates.
+        number: Index of the grasp in `GraspSelector.grasps`.
         standoff_joints: (7,) configuration of the arm at the standoff (rad).
         grasp_joints: (7,) configuration of the arm at the grasp (rad).
         via_joints: (7,) via point of the joint path to the standoff around an obstacle (rad); None: straight path.
@@ -105,7 +105,7 @@ class GraspSelector:
         surface: Spheres that approximate the object's surface, in the object's frame.
         chosen: Grasp that was selected last; None if there is no selection.
         failure_reason: Reason why no grasp could be selected; empty after a selection.
-        failed: Times of the episode (s) until which failed grasps have a higher cost, by index of the grasp.
+        failed: Times of the episode (s) until which failed grasps have a higher cost, by index in `grasps`.
     """
 
     def __init__(self, arm: ArmInWorld, speeds: Array, config: ReactiveConfig) -> None:
@@ -132,13 +132,13 @@ class GraspSelector:
         self._add(graspable.grasps, graspable.pad_margins, 0.0)
 
     def set_candidates(self, poses: Array, costs: Array, surface: Spheres, chosen: int | None) -> None:
-        """Replace the candidate grasps.
+        """Replace the candidate grasps, and clear `failed`.
 
         Args:
             poses: (n, 7) poses of the hand link in the object's frame, quaternion xyzw.
             costs: (n,) costs (s), higher for grasps that may not hold or have failed before.
             surface: Spheres that approximate the object, in its frame.
-            chosen: Index in `poses` of the grasp that was selected last; None clears the selection.
+            chosen: Index in `poses` of the selected grasp, if there is one; None clears the selection.
         """
         self.surface, self.failed = surface, {}
         self.grasps, self._hold_costs = poses, costs
@@ -227,7 +227,7 @@ class GraspSelector:
         return compute_grasp_clearances(self.grasps, human_hand, self._receiver_config.approach.standoff)
 
     def _compute_rough_costs(self, world: Array, clearances: Array, time: float) -> Array:
-        """Return costs (n,) in s, without inverse kinematics, of grasps at poses (n, 7) with clearances (n,) in m."""
+        """Return costs (n,) in s that need no IK, of grasps at world poses (n, 7) with hand clearances (n,) in m."""
         config = self._config
         rotations = (self._home_rotation.inv() * Rotation.from_quat(world[:, 3:])).magnitude()
         missing = np.maximum(0.0, config.desired_clearance - clearances)
@@ -254,7 +254,7 @@ class GraspSelector:
         return np.asarray(_OBSTACLE_COST * missing)
 
     def _select_candidates(self, costs: Array) -> Indices:
-        """Return the indices of the cheapest grasps (after failed searches: the next ones) and of the selected one."""
+        """Return indices of a batch of the cheapest grasps (after failed searches, a later batch) and of `chosen`."""
         order = np.argsort(costs, kind="stable")
         order = order[costs[order] < _FORBIDDEN]
         count = self._config.max_candidates * (_OFFSET_CANDIDATE_FACTOR if self._has_offsets else 1)
@@ -305,7 +305,7 @@ class GraspSelector:
         return np.asarray((np.abs(standoffs - joints) / self._speeds).max(axis=1))
 
     def _compute_limit_margin_costs(self, standoffs: Array, goals: Array) -> Array:
-        """Return the costs (n,) in s of configurations (n, 7) at standoffs or grasps that are near to joint limits."""
+        """Return costs (n,) in s of grasps at which, or at whose standoffs, joints (n, 7) are close to their limits."""
         low, high = self._arm.limits
         margins = np.minimum(*(np.minimum(joints - low, high - joints).min(axis=1) for joints in (standoffs, goals)))
         missing = np.maximum(0.0, _DESIRED_LIMIT_MARGIN - margins)
@@ -322,7 +322,7 @@ class GraspSelector:
     ) -> int:
         """Return the position in `numbers` of the grasp selected before, or of the cheapest if it is clearly cheaper.
 
-        Costs of blocked paths are added to `costs`, unless the gripper is near the grasp.
+        Unless `is_near` (the gripper is near the grasp), costs of blocked paths are added to `costs`.
         """
         old = None if self.chosen is None else int(np.flatnonzero(numbers == self.chosen.number)[0])
         best = int(np.argmin(costs)) if is_near else self._add_path_costs(costs, standoffs, old, joints, obstacles)

@@ -1,4 +1,4 @@
-"""Segmentation of wrist camera images by neural networks (with PyTorch), and point clouds segmented by them."""
+"""Segmentation of images and point clouds of the wrist camera by neural networks, which need PyTorch."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -96,10 +96,10 @@ def choose_points(available: int, count: int, rng: np.random.Generator) -> npt.N
 
 
 def segment_clouds(observation: Observation, world_from_hand: Array, predict: MaskPredictor) -> Observation:
-    """Segment an observation of the mode `UNSEGMENTED`; return the point clouds of the mode "scene_pointcloud".
+    """Segment an observation of the mode `UNSEGMENTED`; return point clouds with the keys of "scene_pointcloud".
 
-    Of a cloud with more than 1024 points, only every n-th point is kept. `world_from_hand` (7,) is the hand link's pose
-    (quaternion xyzw).
+    Of a cloud with more than 1024 points, only every n-th point is kept. Clouds are not padded, and the counts are
+    their numbers of points. `world_from_hand` (7,) is the hand link's pose (quaternion xyzw).
     """
     points, depth = observation["wrist_point_map"], observation["wrist_depth"][..., 0]
     pose = world_from_hand.astype(np.float32)

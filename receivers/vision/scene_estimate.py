@@ -114,7 +114,7 @@ class PointCloudSceneEstimate(SceneEstimate):
             self._update_obstacles(others)
 
     def _vote(self, object_points: Array, hand_points: Array) -> tuple[Array, Array]:
-        """Return the points (n, 3) of object and hand by the votes of recent views, given those by the present view."""
+        """Return points (n, 3) of object and hand, relabeled by the votes of recent views, in the hand link's frame."""
         points, position = np.concatenate([object_points, hand_points]), self.tracker.position
         if not len(points) or not position.is_known:
             return object_points, hand_points
@@ -125,7 +125,7 @@ class PointCloudSceneEstimate(SceneEstimate):
     def has_released(self, closing_since: float) -> bool:
         """Return whether the person seems to have released the object; fingers began to close at `closing_since` (s).
 
-        Fingers that are not fully closed show this when at rest for 0.15 s, or when they began to close 0.5 s ago.
+        This is so once the fingers, not fully closed, have been at rest for 0.15 s, or began to close 0.5 s ago.
         """
         if closing_since != self._closing_since:
             self._closing_since = self._moved_at = closing_since
@@ -171,7 +171,7 @@ class PointCloudSceneEstimate(SceneEstimate):
 
     @property
     def is_offered(self) -> bool:
-        """Whether the person hands the object over, judged from the visible points."""
+        """Whether the object has been visible, and was lifted or is offered by the rule of the base class."""
         # A hand behind the object is not visible, but it holds an object that was lifted.
         is_lifted = self.motion.lift_distance > self.config.min_lift
         return self.tracker.position.is_known and (is_lifted or super().is_offered)

@@ -80,9 +80,9 @@ class ViewPlanner:
         return HOME if self._view is None else self._view
 
     def _choose_view(self, joints: Array, target: Array, bodies: Spheres) -> Array | None:
-        """Return the view (7,) (rad) with the lowest cost, and add its direction to those that were tried.
+        """Return the configuration (7,) (rad) of the best view, None without a clear one; store the direction as tried.
 
-        The cost is the travel time, more for directions that were tried. Without a clear view, None is returned.
+        The best view has the lowest travel time, to which a cost is added in directions that were tried before.
         """
         poses, directions = self._make_hand_poses(target)
         seeds = np.concatenate([joints[None], IK_SEEDS, FALLBACK_IK_SEEDS])
@@ -109,7 +109,7 @@ class ViewPlanner:
         return np.asarray((clearances > _CLEARANCE) & (heights > _TABLE_CLEARANCE))
 
     def _make_hand_poses(self, target: Array) -> tuple[Array, Array]:
-        """Return world poses (n, 7) of the hand link, and directions (n, 3) from the target (3,) to the camera."""
+        """Return world poses (n, 7) of the hand link for all views, and directions (n, 3) from target to camera."""
         towards = self._arm.base[:2] - target[:2]
         angles = np.array(list(itertools.product(_AZIMUTHS, _ELEVATIONS, _DISTANCES, _ROLLS)))
         azimuths, elevations = angles[:, 0] + np.arctan2(towards[1], towards[0]), angles[:, 1]
