@@ -98,10 +98,10 @@ class HandGeometry:
     radii: FloatArray
 
     def compute_link_poses(self, dof: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Compute positions (..., 16, 3) in m and rotations (..., 16, 3, 3) of palm and phalanges from joint positions.
+        """Compute the forward kinematics: positions (..., 16, 3) and rotations (..., 16, 3, 3) of palm and phalanges.
 
-        `dof` (..., 51) has the base's position (m), its angles and 45 finger angles (rad). The results are in the frame
-        of the base's position.
+        `dof` (..., 51) has the position (m) and the angles of the hand's base, then 45 finger angles (rad). The results
+        (m) are in the frame in which the base's position and angles are given.
         """
         joints = np.asarray(dof, dtype=np.float64)
         rotations = matrices_from_euler(joints[..., 3:].reshape(*joints.shape[:-1], 16, 3))
@@ -115,10 +115,10 @@ class HandGeometry:
         return positions, rotations
 
     def compute_keypoints(self, dof: npt.ArrayLike) -> FloatArray:
-        """Compute the hand's keypoints (..., 21, 3) in m from joint positions as in `compute_link_poses`, in its frame.
+        """Compute 21 keypoints of the hand (..., 21, 3) in m; `dof` and the frame are as in `compute_link_poses`.
 
-        The keypoints are the wrist, then for index, middle, little, ring finger and thumb three joints and the
-        fingertip each.
+        The keypoints are the wrist, then three joints and the fingertip of each digit: index, middle, little and ring
+        finger, thumb.
         """
         positions, rotations = self.compute_link_poses(dof)
         directions = self.tips / np.linalg.norm(self.tips, axis=1, keepdims=True)
@@ -133,7 +133,7 @@ class HandGeometry:
 
 
 def _compute_reference_bones() -> Mapping[str, tuple[FloatArray, FloatArray]]:
-    """Return by digit the reference hand's joints (3, 3) in parent frames and bone ends (3, 3) in own frames (m)."""
+    """Return the reference hand's joint origins (3, 3) and tips (3, 3) by digit (m), in frames as in `HandGeometry`."""
     bones = {}
     for name in DIGIT_ORDER:
         digit = _DIGITS[name]
@@ -151,7 +151,7 @@ def _compute_reference_bones() -> Mapping[str, tuple[FloatArray, FloatArray]]:
 
 
 def scale_hand(size: HandSize, side: Side) -> HandGeometry:
-    """Return the "left" or "right" reference hand, scaled to the length and the breadth in `size`."""
+    """Return a "left" or "right" hand: the reference hand, scaled to the length and the breadth in `size`."""
     across = size.breadth / REFERENCE_SIZE.breadth
     scale = np.array([size.length / REFERENCE_SIZE.length, across, across])
     stretch = scale * np.array([-1.0 if side == "left" else 1.0, 1.0, 1.0])
@@ -259,9 +259,9 @@ class HumanGrasps:
         return np.asarray(rotate_points(self.object_from_base[:, 3:], np.tile(along, (len(self), 1))))
 
     def compute_hand_dof(self) -> FloatArray:
-        """Return the hand's joint positions (n, 51) in the grasps, in the object's frame.
+        """Return the joint positions (n, 51) of the closed hand in n grasps, in the object's frame.
 
-        These are the base's position (m), its intrinsic XYZ Euler angles and the finger joint angles (rad).
+        A row has the base's position (m), its intrinsic XYZ Euler angles (rad) and 45 finger joint angles (rad).
         """
         poses = self.object_from_base
         matrices = rotate_points(poses[:, None, 3:], np.eye(3)).swapaxes(-1, -2)
@@ -269,7 +269,7 @@ class HumanGrasps:
 
 
 def load_human_grasps(object_name: str, subject: int, side: Side) -> HumanGrasps:
-    """Load the grasps of a YCB class, e.g. "025_mug", by a hand of subject 1 to 10, sorted by wrist distance."""
+    """Load the 20 grasps of a YCB class, e.g. "025_mug", by a hand of subject 1 to 10, sorted by wrist distance."""
     data = load_shipped_arrays(GRASPS_FILE)
     at = GRASPED_OBJECTS.index(object_name), SIDES.index(side), subject - 1
     return HumanGrasps(

@@ -60,10 +60,10 @@ CLASSES_WITHOUT_GRASPS = ("002_master_chef_can", "036_wood_block")
 
 #: Path of the grasp validations, made by `building/grasps.py`.
 VALIDATION_PATH = DATA_ROOT / "grasp_validations.npz"
-#: Results of the validation of an object's n grasps, (n, 4). Columns: index of a tilted copy, -1 for a
-#: known grasp; number of poses at and near the grasp that held the object when shaken; number (from 1)
-#: of the distance in `GraspPreparationConfig.advances` by which the grasp was advanced, 0 for none;
-#: number of poses at and near the grasp that kept the object when the person released it.
+#: Results of the validation in simulation of an object's n grasps, (n, 4): first known grasps, then tilted copies.
+#: Columns: index of the copy, -1 for a known grasp; number of poses at and near the grasp that held the object when
+#: shaken; number (from 1) of the distance in `GraspPreparationConfig.advances` by which the grasp was moved towards the
+#: object, 0 for none; number of poses at and near the moved grasp that kept the object when the person released it.
 ValidationRecord = npt.NDArray[np.int16]
 
 #: Path of the weights of the receiver `gaddpg`. `experiments/training/train_gaddpg.py` trained them on
@@ -84,10 +84,11 @@ def format_object_files(
     friction: float = FRICTION,
     center: Sequence[float] | None = None,
 ) -> dict[str, bytes | str]:
-    """Return the contents of an object's files by file name: meshes, colors and a URDF with six base joints.
+    """Return the contents of an object's files by file name: meshes, palette, and a URDF with HandoverSim's six joints.
 
-    `colored` are the meshes to draw: color name, vertices (v, 3) in m and faces (f, 3). `parts` are the vertices and
-    faces of the convex parts for collisions. `mass` (kg) is at `center` (3,) in m; None is the origin, as for YCB.
+    `colored` has the meshes to draw: name in `PALETTE`, vertices (v, 3) in m and faces (f, 3). `parts` has the vertices
+    and faces of the convex parts for collisions. The center of mass is at `center` (3,) in m; None is the origin, as
+    for YCB objects. `mass` is in kg, `friction` is the coefficient of lateral friction.
     """
     names = {"visual": VISUAL_NAME, "collision": COLLISION_NAME}
     values: Any = {"mass": mass, "friction": friction}
@@ -101,7 +102,7 @@ def format_object_files(
 
 
 def _format_visual(colored: Iterable[tuple[str, Array, Faces]]) -> str:
-    """Return meshes (color name, vertices (v, 3) in m, faces (f, 3)) as one OBJ text, for a folder with the palette.
+    """Return colored meshes as the text of one OBJ file; for the argument and the palette see `format_object_files`.
 
     PyBullet draws one texture per OBJ file and ignores vertex colors. Therefore the palette is a small image with a
     cell for each color, and the texture coordinates of a face are the center of its color's cell.
@@ -143,7 +144,7 @@ def load_object_grasps(name: str) -> npt.NDArray[np.float64] | None:
 
 
 def load_validation_record(name: str) -> ValidationRecord | None:
-    """Return the shipped `ValidationRecord` (n, 4) with the name of a record, or None if there is none."""
+    """Return a shipped `ValidationRecord` (n, 4) by its name, `CLASS-HASH`, or None if no record has this name."""
     return load_shipped_arrays(VALIDATION_PATH).get(name)
 
 

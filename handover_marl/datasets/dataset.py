@@ -24,7 +24,7 @@ class SceneInfo:
     """Description of a handover scene: giver and objects, without their motion.
 
     Attributes:
-        scene_id: Number of the scene; for official scenes it is 100 * subject + 5 * object + trial.
+        scene_id: Number of the scene; for DexYCB it is 100 * subject + 5 * object + trial, all counted from 0.
         name: `<subject>/<sequence>` as in the data set.
         side: Hand of the giver, "right" or "left".
         object_ids: Class numbers of the objects on the table, the handed-over one first: 1-21 for YCB
@@ -105,7 +105,7 @@ class Scene:
         return (self.assets.table, self.assets.panda, *self.assets.objects, self.assets.hand)
 
     def is_hand_present(self, frames: npt.NDArray[np.int_]) -> npt.NDArray[np.bool_]:
-        """Return a mask (n,) of the frame indices (n,), at 1 kHz, at which the human hand is visible."""
+        """Return a mask (n,): whether the human hand is visible in each of the frames with indices `frames` (n,)."""
         if self.hand_first is None or self.hand_last is None:
             return np.zeros(frames.shape, dtype=bool)
         return (self.hand_first <= frames) & (frames <= self.hand_last)
@@ -148,7 +148,7 @@ class Dataset(ABC):
 
     @property
     def panda_urdf(self) -> Path:
-        """Path of the robot's URDF, by default the library's; a missing file raises `DataNotFoundError`."""
+        """Path of the robot's URDF, by default the library's file."""
         return PANDA_URDF if self.robot == PANDA else CAMERA_PANDA_URDF
 
     @abstractmethod
@@ -163,10 +163,11 @@ class Dataset(ABC):
         """Load the robot grasps of an object class, e.g. "025_mug", by default the library's.
 
         Returns:
-            (n, 4, 4) gripper poses in the object's frame (m), or None for a class that is too large for the gripper.
+            (n, 4, 4) gripper poses in the object's frame (m), or None for a class without grasps, such as one that is
+            too large for the gripper.
 
         Raises:
-            DataNotFoundError: The grasp file is missing.
+            UnknownNameError, DataNotFoundError: The class is unknown, or its grasp file is missing.
         """
         return load_object_grasps(object_name)
 
@@ -174,13 +175,13 @@ class Dataset(ABC):
         """Return the path of the URDF of an object class, e.g. "025_mug"; by default the library's file.
 
         Raises:
-            DataNotFoundError: The file is missing.
+            UnknownNameError, DataNotFoundError: The class is unknown, or the file is missing.
         """
         return find_object_urdf(object_name)
 
     @abstractmethod
     def compute_fingerprint(self, scene_id: int) -> str:
-        """Return a text that identifies a scene's content and changes with its motion, models or robot grasps.
+        """Return a text that identifies a scene's content: it changes if the motion, models or robot grasps change.
 
         Evaluations compute this text for all scenes before the first simulation, so missing files are found early.
 
@@ -190,7 +191,7 @@ class Dataset(ABC):
         """
 
     def describe_models(self, scene_id: int) -> str:
-        """Return a note for reports on where a scene's models are from, e.g. "MANO hand, stand-in grasps", or ""."""
+        """Return a note on the origin of a scene's models for reports, e.g. "MANO hand, stand-in grasps", or ""."""
         return ""
 
     def find_side(self, scene_id: int) -> str:
@@ -198,11 +199,7 @@ class Dataset(ABC):
         return self.load_info(scene_id).side
 
     def resolve_setup(self, setup: str | None) -> str:
-        """Return the name of a setup, after a check that it exists; None gives the default setup.
-
-        Raises:
-            UnknownNameError: The data set has no such setup.
-        """
+        """Return `setup`, or the default setup for None; raise `UnknownNameError` if the data set has no such setup."""
         if setup is None:
             return self.setups[0]
         check_name("setup", setup, self.setups)
@@ -224,10 +221,6 @@ class Dataset(ABC):
             raise SceneError(f"scene {scene_id} does not exist; scenes are numbered 0 to {self.n_scenes - 1}")
 
     def find_assets(self, info: SceneInfo, hand: Path) -> SceneAssets:
-        """Return the URDF files of a scene's bodies; `hand` is that of the person's hand, the table is the library's.
-
-        Raises:
-            DataNotFoundError: A file is missing.
-        """
+        """Return the URDFs of a scene's bodies: the library's table, the data set's robot and objects, and `hand`."""
         objects = tuple(self.find_object_urdf(name) for name in info.object_names)
         return SceneAssets(table=TABLE_URDF, panda=self.panda_urdf, objects=objects, hand=hand)

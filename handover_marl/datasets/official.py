@@ -2,11 +2,11 @@
 
 <data_dir>/dex-ycb-cache/   files of every scene:
     meta_NNN.json           name, ycb_ids, ycb_grasp_ind, mano_sides, mano_betas
-    pose_NNN.npz            pose_y (T, n, 6), pose_m (T, 1, 51) at 1 kHz in the table's frame (m, rad)
+    pose_NNN.npz            motion at 1 kHz, as in `Scene`: pose_y (T, n, 6) of objects, pose_m (T, 1, 51) of the hand
 <data_dir>/assets/          URDFs of objects, hands, Panda and table; grasps/<class>.npy
 
-`third_party.sha256` lists the paths of third-party files within `assets/`, with the known checksums. A stand-in file (a
-substitute made by this library) is marked as such in its first bytes.
+Positions in pose files are in the table's frame: the world frame, moved up by `TABLE_HEIGHT`. `third_party.sha256`
+lists the third-party files in `assets/`. A stand-in, a substitute made by this library, is marked in its first bytes.
 """
 
 import hashlib
@@ -82,7 +82,7 @@ def list_required_files() -> tuple[str, ...]:
 
 
 def classify_file_origin(path: str, content: bytes) -> FileOrigin:
-    """Return STAND_IN if `content` is marked as one, ORIGINAL if it has the known checksum of `path`, else UNKNOWN."""
+    """Return STAND_IN for a marked stand-in, ORIGINAL for the known checksum of `path` in `assets/`, else UNKNOWN."""
     if STAND_IN.encode() in content[:_HEADER_BYTES]:
         return FileOrigin.STAND_IN
     known = read_third_party_checksums().get(path)
@@ -118,9 +118,9 @@ def is_stand_in_file(path: Path) -> bool:
 
 
 def describe_origins(kind: str, *origins: FileOrigin) -> list[str]:
-    """Return a list of one note on the origins of files of a `kind`, e.g. "grasps", or an empty list.
+    """Return a list with a note if files of a `kind`, e.g. "grasps", are not all original; else an empty list.
 
-    The note is "stand-in KIND" if any file is a stand-in, else "KIND of unknown origin" if any origin is unknown.
+    The note is "stand-in KIND" if any file is a stand-in, else "KIND of unknown origin".
     """
     if FileOrigin.STAND_IN in origins:
         return [f"stand-in {kind}"]
@@ -128,7 +128,7 @@ def describe_origins(kind: str, *origins: FileOrigin) -> list[str]:
 
 
 def require_file(path: Path, advice: str = _FILE_ADVICE) -> Path:
-    """Return `path` if it is a readable file; else raise `DataNotFoundError` or `DataFormatError`, with `advice`."""
+    """Return `path` if it is a plain file; else raise `DataNotFoundError` or `DataFormatError`, with `advice`."""
     with report_damage(path, "file", advice):
         check_plain_file(path)
     return path
@@ -154,10 +154,11 @@ def _read_scene_info(path: Path, scene_id: int) -> tuple[SceneInfo, list[int]]:
 
 
 def read_motion(path: Path, shapes: Mapping[str, tuple[int, ...]], advice: str) -> list[npt.NDArray[np.float32]]:
-    """Read arrays (T, *shape) of T frames from a motion file (`.npz`) as float32; `shapes` maps their names to `shape`.
+    """Read the arrays of a motion file (`.npz`) as float32, in the order of `shapes`.
 
-    The second array has the motion of a hand: zeros in frames without a hand, at the start and at the end. A damaged
-    file raises `DataFormatError` with `advice` for the user.
+    `shapes` maps the name of each array to the shape of one frame: an array of T frames has the shape (T, *shape). The
+    second array is the motion of a hand, with zeros in frames without a hand, which may only be at the start and at the
+    end. A missing or damaged file raises `DataNotFoundError` or `DataFormatError`, with `advice` for the user.
     """
     with report_damage(path, "pose file", advice):
         arrays = [array.astype(np.float32) for array in read_arrays(path, tuple(shapes), MAX_MOTION_BYTES).values()]
@@ -172,7 +173,7 @@ def read_motion(path: Path, shapes: Mapping[str, tuple[int, ...]], advice: str) 
 
 
 def check_scene_meta(ids: list[int], grasped: int, sides: list[Any]) -> None:
-    """Check class numbers `ids`, index `grasped` of the handed-over object and `sides` of hands; raise `ValueError`."""
+    """Raise `ValueError` unless a scene has valid classes `ids`, one hand side, and an index `grasped` into `ids`."""
     is_known = all(type(number) is int and number in SCENE_CLASSES for number in ids)
     if not is_known or len(set(ids)) < len(ids) or not 1 <= len(ids) <= MAX_OBJECTS:
         classes = ", ".join(map(str, SCENE_CLASSES))
@@ -197,7 +198,7 @@ def load_grasps(path: Path) -> npt.NDArray[np.float64]:
 
 
 def check_grasps(grasps: npt.NDArray[np.floating]) -> npt.NDArray[np.float64]:
-    """Return robot grasps (n, 4, 4) as float64; raise `ValueError` if they are no rigid poses, or in other units."""
+    """Return robot grasps (n, 4, 4) as float64; raise `ValueError` unless all are rigid poses within 2 m (not mm)."""
     if grasps.ndim != 3 or grasps.shape[1:] != (4, 4) or not np.isfinite(grasps).all():
         raise ValueError(f"grasps must be finite numbers of shape (n, 4, 4), got shape {grasps.shape}")
     poses = grasps.astype(np.float64)
@@ -269,16 +270,16 @@ class OfficialDataset(Dataset):
         return Scene(info, self.name, self._find_scene_assets(info), object_dof, hand_dof, *span)
 
     def find_object_urdf(self, object_name: str) -> Path:
-        """Return the path of a YCB class's URDF."""
+        """Return the path of the URDF of a YCB class in the data folder."""
         return require_file(self._assets / object_name / "model_normalized.urdf")
 
     def load_grasps(self, object_name: str) -> npt.NDArray[np.float64] | None:
-        """Load robot grasps of a YCB class: gripper poses (n, 4, 4) in the object's frame (m); None if it has none."""
+        """Load the gripper poses (n, 4, 4) at grasps of a YCB class, in the object's frame (m); None without grasps."""
         path = self._find_grasp_file(object_name)
         return None if path is None else self._load_grasps(path).copy()
 
     def compute_fingerprint(self, scene_id: int) -> str:
-        """Return a hash of a scene's meta, pose and grasp files, URDFs and mesh sizes."""
+        """Return a hash of a scene's meta, pose and grasp files, its URDFs, and the sizes of its mesh files."""
         digest = hashlib.sha256()
         info = self.load_info(scene_id)
         self.load_grasps(info.target_name)
@@ -294,7 +295,7 @@ class OfficialDataset(Dataset):
         return digest.hexdigest()[:16]
 
     def describe_models(self, scene_id: int) -> str:
-        """Return a note, e.g. "MANO hand, stand-in grasps": kind of hand, and model files that are not original."""
+        """Return a note, e.g. "MANO hand, stand-in grasps": hand model, and kinds of files that are not original."""
         info = self.load_info(scene_id)
         parts = [self._origin(f"{name}/model_normalized_convex.obj") for name in info.object_names]
         hand = self._hand_origin(f"{info.subject}_{info.side}")

@@ -49,13 +49,15 @@ def open_dataset(dataset: str = AUTO, data_dir: str | os.PathLike[str] | None = 
     Args:
         dataset: "synthetic", "generated:n=1000,seed=0", "dexycb", "own:FOLDER", or "auto": DexYCB if a data folder is
             given or set in `HANDOVER_MARL_DATA`, else the synthetic scenes.
-        data_dir: Folder of the data; default for DexYCB: the one in `HANDOVER_MARL_DATA`.
+        data_dir: Folder of the data set. Default: for DexYCB the folder in `HANDOVER_MARL_DATA`, for own scenes FOLDER;
+            with `data_dir`, own scenes are "own:NAME", with the name in `scenes.json`.
         robot: Variant of the Panda, "panda" or "panda_camera".
 
     Raises:
-        UnknownNameError: The data set or the robot does not exist.
-        OptionError: `data_dir` is not a path, holds other scenes than `dataset`, or is given for scenes without folder.
-        DataNotFoundError: DexYCB is requested without a data folder, or the folder is missing.
+        UnknownNameError: The data set, the robot or a parameter of generated scenes does not exist.
+        OptionError: `data_dir` is no path, has own scenes of another name, or is passed for synthetic or generated
+            scenes; or a parameter of generated scenes has an invalid value.
+        DataNotFoundError, DataFormatError: The folder is not given or missing, or its `scenes.json` is damaged.
     """
     given = None if data_dir is None else str(check_path("data_dir", data_dir))
     if dataset == AUTO:
@@ -91,7 +93,7 @@ def open_dataset(dataset: str = AUTO, data_dir: str | os.PathLike[str] | None = 
 
 
 def _split_name(name: str) -> tuple[str, str]:
-    """Return the kind and the argument ("" for none) of a data set's name: "own:FOLDER" gives ("own", "FOLDER")."""
+    """Return kind and argument ("" for none) of a data set's name; raise `UnknownNameError` if the name is invalid."""
     text = name if isinstance(name, str) else ""
     kind, separator, argument = text.partition(":")
     if kind not in KINDS or bool(separator) != (":" in KINDS[kind].usage) or (separator and not argument):

@@ -1,6 +1,7 @@
 """Unpickling of arrays from untrusted files: grasp files of HandoverSim and hand models of MANO.
 
-Such a pickle can use only the functions and classes in `ARRAY_NAMES` and those that the caller allows.
+A pickle can name any Python function to be called. Here it can only use the functions and classes in `ARRAY_NAMES` and
+those that the caller of `load_restricted` allows.
 """
 
 import functools

@@ -45,7 +45,7 @@ _FILTERS: dict[tuple[str, str], dict[str, Collection[object]]] = {
 
 
 def list_split_scenes(setup: str, split: str, find_side: Callable[[int], str]) -> tuple[int, ...]:
-    """Return the scene numbers of a split, ascending; their positions are the scene indices in official result files.
+    """Return the scene numbers of a split in ascending order, the order of the scenes in official result files.
 
     The setups are "s0" (no held-out factor), "s1" (unseen subjects), "s2" (unseen handedness), "s3" (unseen objects).
     `find_side` returns the hand of a scene, "right" or "left"; it is only called for trial 4 of s2.
@@ -70,9 +70,10 @@ def get_prescribed_side(scene: int) -> Literal["left", "right"] | None:
 
 
 def choose_scenes(split_ids: tuple[int, ...], scenes: Iterable[int] | None, split_label: str) -> tuple[int, ...]:
-    """Return `scenes`, sorted and without repetitions; None gives all scenes of a split, whose numbers are `split_ids`.
+    """Return the numbers `scenes`, sorted and without repetitions; None gives all scenes of a split, `split_ids`.
 
-    Raise `SceneError` if a scene is not in the split, or if either is empty. The message calls the split `split_label`.
+    Raises `SceneError` if a scene is not in the split, or if `scenes` or `split_ids` is empty. `split_label` names the
+    split in the message.
     """
     if not split_ids:
         raise SceneError(f"{split_label} has no scenes; choose another split, or a data set with more scenes")

@@ -1,7 +1,7 @@
 """1000 generated handovers whose statistics follow DexYCB; no license restricts their use.
 
-A scene is a pure function of its number and of `VERSION`. As in DexYCB, there are 100 scenes of each subject, five
-with each object.
+A scene depends only on its number and on the generator's `VERSION`. As in DexYCB, ten subjects have 100 scenes each:
+five with each of 20 objects.
 """
 
 from functools import cache, lru_cache
@@ -26,7 +26,7 @@ _N_LEFT_LAST_TRIALS = ((range(2), 19), (range(2, 10), 72))
 
 
 class SyntheticDataset(HandoverGenerator):
-    """1000 generated handovers with the library's own models; arguments and errors are those of `Dataset`."""
+    """1000 generated handovers with the library's own models; for the argument `robot` see `Dataset`."""
 
     name = "synthetic"
     scene_format = "03d"
@@ -41,7 +41,7 @@ class SyntheticDataset(HandoverGenerator):
         return _find_side(scene_id)
 
     def compute_fingerprint(self, scene_id: int) -> str:
-        """Return "synthetic-VERSION", the same for all scenes, since the generator's version determines them."""
+        """Return "synthetic-VERSION", the same for all scenes; VERSION is the version of the generator."""
         return f"synthetic-{VERSION}"
 
 

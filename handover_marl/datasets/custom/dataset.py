@@ -5,8 +5,8 @@ The motion of scene N is in `motion/00000N.npz`, in the world frame at 1 kHz:
 - `object_dof` (T, n, 6): positions (m) and intrinsic XYZ Euler angles (rad) of the objects, the handed-over object
   first.
 - `hand_dof` (T, 51): position (m) and intrinsic XYZ Euler angles (rad) of the hand's base, then 45 finger joint angles
-  (rad); zeros in rows without a hand.
-- `hand_span` (2,): first and last row of `hand_dof` in which the hand is present; -1 and -1 without a hand.
+  (rad); zeros in frames without a hand.
+- `hand_span` (2,): first and last frame in which the hand is present; -1 and -1 without a hand.
 """
 
 import hashlib
@@ -64,9 +64,8 @@ class CustomDataset(Dataset):
     def list_scenes(self, setup: str | None, split: str) -> tuple[int, ...]:
         """Return the scene numbers of a split in ascending order.
 
-        Raises:
-            UnknownNameError: The setup or the split does not exist, or the split is empty.
-            DataNotFoundError: The folder has no scenes.
+        Raises `UnknownNameError` if the setup or the split does not exist or the split is empty, `DataNotFoundError` if
+        the folder has no scenes.
         """
         check_name("split", split, SPLITS)
         setup = self.resolve_setup(setup)
@@ -106,20 +105,20 @@ class CustomDataset(Dataset):
         return Scene(info, self.name, assets, object_dof, hand_dof, start, end)
 
     def find_object_urdf(self, object_name: str) -> Path:
-        """Return the path of an object class's URDF."""
+        """Return the path of the URDF of a class: in this folder for a user's class, in the library for a YCB class."""
         if object_name in CLASS_NAMES.values():
             return super().find_object_urdf(object_name)
         return require_file(self.folder / OBJECT_FOLDER / object_name / URDF_NAME, _ADVICE)
 
     def load_grasps(self, object_name: str) -> Array | None:
-        """Load robot grasps of an object class: gripper poses (n, 4, 4) in the object's frame (m), or None."""
+        """Load the gripper poses (n, 4, 4) at grasps of a class, in the object's frame (m); None without grasps."""
         if object_name in CLASS_NAMES.values():
             return super().load_grasps(object_name)
         grasps = self._read_grasps(self.folder / OBJECT_FOLDER / object_name / GRASP_FILE)
         return None if grasps is None else grasps.copy()
 
     def compute_fingerprint(self, scene_id: int) -> str:
-        """Return a hash of a scene's motion, models and grasps."""
+        """Return a hash of a scene's description, motion, model files and robot grasps, and of the robot's name."""
         assets, scene = self._find_scene_assets(self.load_info(scene_id)), self.content.scenes[scene_id]
         path = require_file(get_motion_path(self.folder, scene_id), _ADVICE)
         digest = hashlib.sha256(read_plain_file(path))

@@ -37,8 +37,9 @@ _FRAME_ADVICE = "check frame: 'world' has its origin 0.92 m below the table's su
 def check_objects(objects: Float32, bodies: Mapping[str, Array]) -> None:
     """Raise `DataFormatError` if an object's motion has a wrong duration, jumps, is far away or starts below the table.
 
-    `objects` (T, n, 6) has positions (m) and intrinsic XYZ Euler angles (rad) in the world at 1 kHz. `bodies` has by
-    name the objects' vertices (v, 3) in own frame (m). The first is handed over and must end above the table, in reach.
+    `objects` (T, n, 6) has positions (m) and intrinsic XYZ Euler angles (rad) in the world frame at 1 kHz. `bodies` has
+    the vertices (v, 3) of the objects by name, in the same order and in the object's frame (m). The first object is
+    handed over; at the end it must be above the table and in the robot's reach.
     """
     low, high = DURATION
     if not low <= (len(objects) - 1) / 1000.0 <= high + 1e-3:
@@ -61,8 +62,9 @@ def check_motion(
 ) -> None:
     """Raise `DataFormatError` if the motion of the objects (see `check_objects`) or of the hand is faulty.
 
-    The handed-over object must start on the table, on another object or in the hand. In frames `first` to `last` (None
-    without a hand), `hand` (T, 51), see `Scene.hand_dof`, must come near the object, not jump and not bend too far.
+    The handed-over object must start on the table, on another object or in the hand. `hand` (T, 51) is as in
+    `Scene.hand_dof`. From frame `first` to frame `last` (None without a hand), the hand must come within 1 m of the
+    object, must not jump, and no finger angle may exceed `MAX_FINGER_ANGLE`.
     """
     check_objects(objects, bodies)
     vertices, *others = (

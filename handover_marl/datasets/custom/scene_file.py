@@ -166,11 +166,7 @@ class SceneFile:
         return {**CLASS_NAMES, **{item.number: item.name for item in self.objects}}
 
     def write(self, folder: Path) -> None:
-        """Write `scenes.json` into a folder.
-
-        Raises:
-            ResultsError: The file cannot be written.
-        """
+        """Write `scenes.json` into a folder; raise `ResultsError` if it cannot be written."""
         content = {
             "format": FORMAT_NAME,
             "version": FORMAT_VERSION,

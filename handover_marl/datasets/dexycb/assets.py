@@ -54,10 +54,7 @@ _MAX_ANGLES = (math.pi, math.pi / 2, math.pi)
 
 
 def format_numbers(*numbers: float) -> str:
-    """Return numbers as the text of a URDF attribute.
-
-    Numbers are written as integers if all of them are integers, otherwise with 64 decimals each.
-    """
+    """Return numbers as the text of a URDF attribute: without decimals if all are integers, else with 64 decimals."""
     pattern = "%.0f" if all(float(number).is_integer() for number in numbers) else "%.64f"
     return " ".join(pattern % float(number) for number in numbers)
 
@@ -82,9 +79,9 @@ _COPIED_TABLE_FILES = ("table.obj", "table.mtl", "table.png")
 
 
 def write_missing_files(folder: Path, files: Mapping[str, bytes], replace_stand_ins: bool = False) -> None:
-    """Write the files that a folder lacks; raise `ResultsError` if a file exists with other content.
+    """Write those of `files`, contents by path relative to `folder`, that do not exist yet.
 
-    `files` has contents by path in the folder. With `replace_stand_ins`, files marked as stand-ins are replaced.
+    A file with other content raises `ResultsError`; with `replace_stand_ins`, a stand-in is replaced instead.
     """
     for parent in {(folder / name).parent for name in files}:
         remove_stale_temporaries(parent)
@@ -187,7 +184,7 @@ def install_third_party(source: Path, assets: Path) -> list[str]:
     """Install third-party files in `assets` from HandoverSim's archive, or from the folder that it was unpacked into.
 
     The folder tree of the files may be at any depth of `source`, but must occur exactly once; else `DataFormatError` is
-    raised and nothing is written. Returns at most one warning, about files whose checksum is not the official one.
+    raised and nothing is written. Returns a list of at most one warning, about files with unknown checksums.
     """
     unknown = []
     with open_folder(source) as folder:
@@ -208,7 +205,7 @@ def install_third_party(source: Path, assets: Path) -> list[str]:
 
 
 def _match_paths(source: Path, paths: Iterable[Path]) -> dict[Path, str]:
-    """Map paths of third-party files, relative to `source`, to their paths in `assets/`; leave out other files."""
+    """Map those of `paths`, relative to `source`, that are third-party files to their paths in `assets/`."""
     wanted = read_third_party_checksums()
     roots: defaultdict[Path, dict[Path, str]] = defaultdict(dict)
     for path in paths:
@@ -228,7 +225,7 @@ def _match_paths(source: Path, paths: Iterable[Path]) -> dict[Path, str]:
 
 
 def write_stand_ins(dexycb_models: Path, assets: Path, workers: int, progress: bool) -> list[str]:
-    """Write stand-ins for files missing in `assets` if the folder `dexycb_models` exists; return error messages."""
+    """Complete `assets` with meshes of `dexycb_models` and stand-ins, if that folder exists; return error messages."""
     if not dexycb_models.is_dir():
         return []
     for name in CLASS_NAMES.values():

@@ -39,7 +39,7 @@ class ImportReport:
         out: Path of the data folder.
         scenes: Scene numbers that were imported or already present, in ascending order.
         hands: Names of the hand models' folders in `assets/`.
-        faults: Messages on what could not be imported, with path, reason and advice.
+        faults: Messages on recordings and files that could not be imported, with path, reason and advice.
         notes: Warnings about files that were imported.
         missing_files: Third-party files that are still missing, relative to `assets/`.
         stand_in_files: Files that replace third-party files, relative to `assets/`.
@@ -91,15 +91,16 @@ def import_dexycb(
         dexycb: Folder that DexYCB's archives were expanded into.
         mano: Folder with `MANO_RIGHT.pkl` and `MANO_LEFT.pkl`, or with both in `models/`.
         out: Data folder to create or to complete, with `dex-ycb-cache/` and `assets/`.
-        third_party: HandoverSim's archive (tar) of meshes and grasps, or the folder that it was unpacked
-            into. Without it, substitutes (stand-ins) are made from DexYCB's `models/`: convex parts
-            by CoACD (extra `import`), the library's grasps and PyBullet's Panda.
+        third_party: HandoverSim's archive (tar) of meshes and grasps, or the folder that it was unpacked into. Without
+            it, if `dexycb` has the folder `models/`, its meshes are copied and substitutes (stand-ins) are written:
+            convex parts by CoACD (extra `import`), the library's grasps and PyBullet's Panda.
         scenes: Scene numbers to import; default: all.
         workers: Number of worker processes; default: one per core.
         progress: Whether to show a progress bar on stderr.
 
     Raises:
-        DataNotFoundError, DataFormatError: MANO's files or the calibration folder are missing or damaged.
+        DataNotFoundError, DataFormatError: MANO's files, `calibration/` or `third_party` are missing or damaged.
+        OptionError, SceneError: An argument is invalid, or PyBullet, whose table is copied, is not installed.
         ResultsError: A file cannot be written, or a model file exists with other content.
     """
     n_workers = resolve_worker_count(workers)
@@ -142,7 +143,7 @@ def import_dexycb(
 
 
 def _import_sequence(models: dict[str, ManoModel], betas: BetasBySubject, out: Path, sequence: SequenceFolder) -> str:
-    """Import a recording; return an error message or "". A folder that cannot be written raises `ResultsError`."""
+    """Import a recording; return "" or an error message, but raise `ResultsError` if a file cannot be written."""
     try:
         import_scene(sequence, models, betas, out)
     except ResultsError:
@@ -154,7 +155,7 @@ def _import_sequence(models: dict[str, ManoModel], betas: BetasBySubject, out: P
 
 
 def _write_models(betas: BetasBySubject, models: dict[str, ManoModel], assets: Path) -> list[str]:
-    """Write the objects' and the table's URDFs, and the hands' models, to `assets`; return the hands' folder names."""
+    """Write URDFs of objects and table, and two hands per subject, to `assets`; return the hands' folder names."""
     write_object_assets(assets)
     write_table_assets(assets)
     # HandoverSim uses the parameters of the subject's first recording for both hands.

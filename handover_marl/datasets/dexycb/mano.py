@@ -93,12 +93,12 @@ def read_mano_model(path: Path, side: str) -> ManoModel:
 
 
 def read_mano_models(folder: Path) -> dict[str, ManoModel]:
-    """Read MANO's models of both hands from a folder, by side; raise the errors of `read_mano_model`."""
+    """Read MANO's models from a folder, by side ("right", "left"); errors are as in `read_mano_model`."""
     return {side: read_mano_model(folder / f"MANO_{side.upper()}.pkl", side) for side in SIDES}
 
 
 class _Record:
-    """Object of chumpy or SciPy in a pickle, whose class is not imported."""
+    """Placeholder for an object of chumpy or SciPy in a pickle: its `state`, without importing its class."""
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.state = state

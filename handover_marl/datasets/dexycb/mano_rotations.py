@@ -63,10 +63,7 @@ def rotate_unfused(matrix: Float32, vector: Float32) -> Float32:
 
 
 def compute_norms(vectors: Float32) -> Float32:
-    """Return the lengths (n,) of vectors (n, 3), rounded as by BLAS.
-
-    Squares are float32. Their sum is float64 and is rounded to float32 before the root is taken.
-    """
+    """Return the float32 lengths (n,) of vectors (n, 3), rounded as by BLAS: float32 squares are summed in float64."""
     squares = (vectors * vectors).astype(np.float64)
     total = (squares[:, 0] + squares[:, 1]) + squares[:, 2]
     return np.asarray(np.sqrt(total.astype(np.float32)))
@@ -143,7 +140,7 @@ def _map_libm(function: Callable[..., float], *columns: Float64) -> Float64:
 
 
 class TagFrame:
-    """Transform from DexYCB's world frame to that of the table's AprilTag, given the tag's pose [R | t] (3, 4) (m)."""
+    """Transform from DexYCB's world frame to the frame of the table's AprilTag, given the tag's [R | t] (3, 4) (m)."""
 
     def __init__(self, world_from_tag: npt.ArrayLike) -> None:
         pose = np.asarray(world_from_tag, dtype=np.float32)
@@ -200,12 +197,12 @@ class KeyframeSpan:
         return slice(STRIDE * self.first, STRIDE * self.last + 1)
 
     def interpolate_positions(self, keyframes: Float32) -> Float32:
-        """Return positions (T, 3) at 1 kHz in the span, by cubic splines through positions (n, 3) of its keyframes."""
+        """Return positions (T, 3) at 1 kHz over the range, by cubic splines through its n keyframe positions (n, 3)."""
         axes = [splev(self._times(), splrep(self._key_times(), column)) for column in keyframes.T]
         return np.stack(axes, axis=1).astype(np.float32)
 
     def interpolate_rotations(self, keyframes: Float32) -> Rotation:
-        """Return rotations at 1 kHz over the whole span, by slerp between the quaternions xyzw (n, 4) of keyframes."""
+        """Return T rotations at 1 kHz over the range, by slerp between its n keyframe quaternions xyzw (n, 4)."""
         rotations = Slerp(self._key_times(), Rotation.from_quat(keyframes))(self._times())
         return Rotation.from_quat(rotations.as_quat().astype(np.float32))
 

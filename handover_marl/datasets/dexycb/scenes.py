@@ -3,9 +3,9 @@
 <raw>/<subject>/<sequence>/meta.yml, pose.npz   (camera folders are not read)
 <raw>/calibration/                              camera extrinsics and hand shapes
 
-A scene number is 100 * subject + the rank of the recording's name among the names of the subject's
-recordings. Known DexYCB names have their official rank, even if other recordings are missing. A
-subject with other names must have all 100 recordings. The import of a scene depends on no other scene.
+A scene number is 100 * subject (0 to 9) + the rank (0 to 99) of the recording's name among the names of the
+subject's recordings. Known DexYCB names have their official rank, even if other recordings are missing. A subject with
+other names must have all 100 recordings. Except for hand shapes, see `find_first_betas`, scenes are independent.
 """
 
 import contextlib
@@ -112,10 +112,10 @@ def read_sequence(sequence: SequenceFolder) -> tuple[dict[str, Any], Float64, tu
     """Read a recording and its calibration.
 
     Returns:
-        Content of meta.yml (`read_meta`); pose (3, 4) [R | t] of the AprilTag in the world frame (m); MANO's ten shape
-        parameters of the person's hand; float32 quaternions xyzw and positions (F, n, 7) in m of the objects, in the
-        order of `ycb_ids`; and (F, 51) float32 of the hand: rotation vector (rad), 45 coefficients of the finger pose,
-        translation (m), zero in frames without a hand.
+        Content of meta.yml, see `read_meta`; pose [R | t] (3, 4) of the AprilTag in DexYCB's world frame (m); MANO's
+        ten shape parameters of the person's hand; poses (F, n, 7) of the objects; poses (F, 51) of the hand. The poses
+        are the float32 keyframes of `compute_object_trajectory` and `compute_hand_trajectory`, in DexYCB's world frame.
+        The objects are in the order of `ycb_ids`.
     """
     meta = read_meta(sequence)
     objects, hand = _read_poses(sequence.folder / "pose.npz", len(meta["ycb_ids"]))
@@ -165,7 +165,7 @@ def _read_poses(path: Path, n_objects: int) -> tuple[Float32, Float32]:
 def compute_object_trajectory(poses: Float32, tag: TagFrame) -> Float32:
     """Return an object's motion (T, 6) float32 in the tag's frame at 1 kHz: position (m), Euler angles (rad).
 
-    The angles are intrinsic XYZ and unwrapped. The keyframes `poses` (F, 7) float32 are in DexYCB's world frame:
+    The angles are intrinsic XYZ and unwrapped. `poses` (F, 7) float32 are keyframes at 25 Hz in DexYCB's world frame:
     quaternion xyzw, position (m).
     """
     span = KeyframeSpan(0, len(poses) - 1)
@@ -178,10 +178,11 @@ def compute_object_trajectory(poses: Float32, tag: TagFrame) -> Float32:
 def compute_hand_trajectory(poses: Float32, tag: TagFrame, model: ManoModel, wrist: Float64, base: Float64) -> Float32:
     """Compute the joint trajectory (T, 51) float32 of the person's articulated hand in the tag's frame at 1 kHz.
 
-    A row is base position (m), unwrapped base angles and finger angles (rad, intrinsic XYZ); zero without a hand. The
-    keyframes `poses` (F, 51) float32 are in DexYCB's world frame: rotation vector (rad), 45 coefficients of the finger
-    pose, translation (m); rows without a hand are zero, and only at start and end. `wrist` (3,) is the wrist joint (m)
-    of `model` at rest, with the hand shape of this recording; `base` (3,) is the same with that of the subject's URDF.
+    A row is base position (m), unwrapped base angles and finger angles (rad, intrinsic XYZ), zeros without a hand.
+    `poses` (F, 51) float32 are keyframes at 25 Hz in DexYCB's world frame: rotation vector (rad), 45 coefficients of
+    the finger pose, translation (m); zeros without a hand, which is only allowed at the start and at the end. `wrist`
+    and `base` (3,) are positions of the wrist joint of `model` at rest (m): `wrist` for the shape parameters of this
+    recording, `base` for the shape parameters of the subject's URDF.
     """
     present = np.flatnonzero(poses.any(axis=1))
     span = KeyframeSpan(int(present[0]), int(present[-1]))
@@ -234,7 +235,7 @@ BetasBySubject = Mapping[tuple[str, str], tuple[float, ...]]
 
 
 def find_first_betas(sequences: Iterable[SequenceFolder]) -> dict[tuple[str, str], tuple[float, ...]]:
-    """Return MANO's shape parameters by subject and side, from the first readable recording of each.
+    """Return MANO's shape parameters by (subject, side), from the first readable recording of each such pair.
 
     HandoverSim places the root joint of a subject's hand model by the parameters of the first recording. In DexYCB the
     parameters of all recordings of a subject are equal, so unreadable recordings are skipped. For each subject, the
@@ -255,12 +256,11 @@ def find_first_betas(sequences: Iterable[SequenceFolder]) -> dict[tuple[str, str
 def import_scene(
     sequence: SequenceFolder, models: Mapping[str, ManoModel], first_betas: BetasBySubject, out: Path
 ) -> None:
-    """Import one recording: write the two files of its scene to `dex-ycb-cache/` in a data folder.
+    """Import one recording: write its `meta_NNN.json` and `pose_NNN.npz` to `dex-ycb-cache/` in the data folder `out`.
 
-    Existing files are kept; if they differ, `DataFormatError` is raised. The motion is in the frame of the AprilTag on
-    the table at 1 kHz: `pose_y` (T, n, 6), position (m) and intrinsic XYZ Euler angles (rad) of the objects, and
-    `pose_m` (T, 1, 51), 3 positions (m) and 48 angles (rad) of the hand's joints. `models` are MANO's hand models by
-    side, `first_betas` is from `find_first_betas`, and `out` is the data folder.
+    Existing files are kept; if they differ, `DataFormatError` is raised. The pose file has the motion at
+    1 kHz: `pose_y` (T, n, 6) of the objects, see `compute_object_trajectory`, and `pose_m` (T, 1, 51) of the hand, see
+    `compute_hand_trajectory`. `models` are MANO's models by side, `first_betas` is from `find_first_betas`.
     """
     meta, world_from_tag, betas, objects, hand = read_sequence(sequence)
     (side,) = meta["mano_sides"]

@@ -44,7 +44,9 @@ _LIMITS: Final = {
 class GeneratedConfig:
     """Configuration of generated scenes; a value that is not allowed raises `OptionError` or `UnknownNameError`.
 
-    The page `docs/how_to/generate_scenes.md` describes the attributes, the parameters of generated scenes.
+    There are `n` scenes of a `family` in `FAMILIES`. In the share `procedural` of them, one of `people` persons hands
+    over one of `objects` procedural objects. `left` is the share of left hands. `clutter_min` to `clutter_max` other
+    objects are on the table. The last five are relative frequencies of the kinds of procedural objects.
     """
 
     n: int = 1000
@@ -80,7 +82,7 @@ class GeneratedConfig:
 
     @property
     def argument(self) -> str:
-        """Text after `generated:` in the data set's name: n, seed and values other than the family's defaults."""
+        """Text after `generated:` in the data set's name: n, seed, family "hard", and values that are not defaults."""
         usual = {**vars(FAMILY_DEFAULTS[self.family]), "n": None, "seed": None, "family": DEFAULT}
         return ",".join(f"{name}={value}" for name, value in vars(self).items() if value != usual[name])
 

@@ -67,7 +67,7 @@ class GeneratedDataset(HandoverGenerator):
     """Data set of generated scenes, without a folder; a scene depends on its number and on all of `config` but `n`.
 
     Args:
-        config: Configuration, or its text such as "n=100000,seed=7,family=hard".
+        config: Configuration, or its text such as "n=100000,seed=7,family=hard", see `parse_generated_config`.
         robot: Variant of the Panda, as in `Dataset`.
     """
 
@@ -106,7 +106,7 @@ class GeneratedDataset(HandoverGenerator):
         return _write_object_model(object_name, _load_shape(self.config, self._numbers[object_name])[0])
 
     def load_grasps(self, object_name: str) -> Array | None:
-        """Return robot grasps of a class, gripper poses (n, 4, 4) in the object's frame (m), or None if it has none.
+        """Return the gripper poses (n, 4, 4) at grasps of a class, in the object's frame (m); None without grasps.
 
         Grasps of shipped objects have held the object in simulation. Grasps of procedural objects are
         antipodal and do not collide with the object; they are not simulated.
@@ -150,7 +150,7 @@ def _generate_scene(config: GeneratedConfig, scene_id: int) -> GeneratedHandover
 
 
 def _draw_giver(config: GeneratedConfig, scene_id: int, split: str) -> tuple[SimulatedGiver, Seed]:
-    """Draw an object of `split` and a person who can grasp it; return both and the seed, or raise `HandoverError`."""
+    """Draw an object, shipped or procedural of `split`, and a person who can grasp it; return both and the seed."""
     side = _draw_side(config, scene_id)
     for attempt in range(_MAX_ATTEMPTS):
         seed = make_seed(config, "scene", scene_id, attempt)
@@ -213,7 +213,7 @@ def _open_grasp_stream(config: GeneratedConfig, number: int) -> tuple[RandomStre
 
 @lru_cache(maxsize=256)
 def _draw_few_grasps(config: GeneratedConfig, number: int) -> Array | None:
-    """Return hand link poses (n, 7), xyz (m), xyzw, at some robot grasps of object `number` in its frame, or None."""
+    """Return hand link poses (n, 7), xyz (m), xyzw, at 5 to 32 robot grasps in the object's frame; None if fewer."""
     random, solid = _open_grasp_stream(config, number)
     grasps = draw_robot_grasps(random, solid, _N_SKETCH_POINTS, _N_SKETCH_GRASPS, is_varied=False)
     return hand_poses_from_grasps(grasps) if len(grasps) >= _MIN_SKETCH_GRASPS else None
@@ -241,10 +241,10 @@ def write_hand_model(person: Person, side: Side) -> Path:
 
 
 def _write_folder(content: str, name: str, urdf: str, make_files: Callable[[], Mapping[str, bytes | str]]) -> Path:
-    """Write a model to the cache unless it exists, and return the path of its URDF, which is written last.
+    """Write a model to `HASH/name/` in the user's cache unless it exists; return the path of its file `urdf`.
 
-    The path has a hash of the text `content`, which determines the files that `make_files` returns by name. Several
-    processes may write the same files. A folder that cannot be written raises `DataNotFoundError`.
+    HASH is of the text `content`, which determines the files that `make_files` returns by file name, the URDF last.
+    Several processes may write the same files. A folder that cannot be written raises `DataNotFoundError`.
     """
     digest = hashlib.sha256(f"{_FORMAT} {content}".encode()).hexdigest()[:20]
     root = get_cache_folder("generated")

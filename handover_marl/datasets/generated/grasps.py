@@ -1,8 +1,8 @@
 """Grasps of objects: by human hands, whose fingers close around the object, and antipodal ones by the Panda's gripper.
 
-Human grasps of a left hand are computed for a right hand and the mirrored object, and then mirrored. Robot grasps that
-collide are excluded by signed distances. A gripper pose has the convention of HandoverSim's grasp files: the fingers
-close along x, the hand approaches along z.
+Human grasps of a left hand are computed for a right hand and the mirrored object, and then mirrored. `rows` (n,)
+are the indices of n open postures in `HandTemplates.openings`. Robot grasps that collide are excluded by signed
+distances. A gripper pose is as in HandoverSim's grasp files: the fingers close along x, the hand approaches along z.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -63,11 +63,12 @@ def draw_human_grasps(
     n_grasps: int = 3,
     n_rounds: int = 5,
 ) -> HumanGrasps | None:
-    """Draw grasps of an object by one human hand, sorted by wrist distance; None if none is found.
+    """Draw grasps of an object by a hand of this size and side, sorted by wrist distance; None if none is found.
 
-    The open hand is clear of the table in at least one resting pose of the object. In a resting pose, an axis (+x, -x,
-    +y, -y, +z, -z) with positive weight in `up_axes` points up. A round tries grasps at `n_pairs` surface points and
-    closes the fingers of up to `n_closed` hands. Rounds end after `n_rounds`, or once `n_grasps` grasps are found.
+    In each grasp, the open hand is clear of the table in at least one resting pose of the object. In a resting pose, an
+    axis (+x, -x, +y, -y, +z, -z) with positive weight in `up_axes` points up. A round tries grasps at `n_pairs` surface
+    points and closes the fingers of up to `n_closed` hands. Rounds end after `n_rounds`, or once `n_grasps` grasps are
+    found; the last round can add more.
     """
     templates = make_hand_templates(size)
     target = solid.mirror() if side == "left" else solid
@@ -100,8 +101,8 @@ class ClosedHands(ArrayBatch):
     """Batch of n human hands whose fingers are closed on an object.
 
     Attributes:
-        posture: n postures.
-        gaps: (n, 5, 9) distances between the phalanges' spheres and the object (m), negative on overlap.
+        posture: Finger postures of the n hands.
+        gaps: (n, 5, 9) distances between the object and nine spheres of each digit (m), negative on overlap.
         centers: (n, 5, 9, 3) centers of the spheres in the object's frame (m).
     """
 
@@ -113,7 +114,7 @@ class ClosedHands(ArrayBatch):
 def _sample_open_hands(
     random: RandomStream, solid: Solid, templates: HandTemplates, n_pairs: int
 ) -> tuple[Palms, Ints]:
-    """Sample open hands around `n_pairs` pairs of surface points; return palm poses and posture indices (n,)."""
+    """Sample open hands clear of the object, around pairs of surface points; return palm poses and `rows` (n,)."""
     thumb_side, finger_side, cosines = solid.sample_antipodal_points(random, n_pairs, _MAX_WIDTH, 0.18)
     noise, draws = random.uniforms(n_pairs, 6), random.uniforms(n_pairs, 4)
     across = finger_side - thumb_side
@@ -144,7 +145,7 @@ def _find_lowest_points(templates: HandTemplates, palms: Palms, rows: Ints, dire
 
 
 def find_free_hands(solid: Solid, templates: HandTemplates, palms: Palms, rows: Ints) -> Ints:
-    """Return the indices of the hands that are clear of the object; `rows` (n,) are their postures in `templates`."""
+    """Return the indices of those of n open hands that are clear of the object, up to a skin overlap of 1 to 2 mm."""
     # A few spheres of thumb and index finger reject five of six hands.
     digits, spheres = _PROBED_SPHERES
     points = palms.transform(templates.path[rows[:, None], 0, digits, spheres])
@@ -170,8 +171,8 @@ def compute_palm_distances(solid: Solid, palms: Palms, centers: Array, radii: Ar
 def close_fingers(solid: Solid, templates: HandTemplates, palms: Palms, rows: Ints) -> ClosedHands:
     """Close each digit of n open hands until one of its phalanges touches, then only the joints beyond that phalanx.
 
-    The hands have poses `palms` in the object's frame and the open postures of `templates` with indices `rows` (n,).
-    A digit that misses the object stays slightly bent.
+    The hands have poses `palms` in the object's frame and open postures with indices `rows` (n,) in
+    `templates.openings`. A digit that misses the object stays slightly bent.
     """
     n = len(rows)
     points = palms.transform(templates.path[rows])
@@ -194,9 +195,9 @@ def close_fingers(solid: Solid, templates: HandTemplates, palms: Palms, rows: In
 def _close_end_joints(
     solid: Solid, templates: HandTemplates, palms: Palms, rows: Ints, bends: Array, phalanx: Ints
 ) -> Array:
-    """Return flexions `bends` (n, 5, 3) (rad), with joints beyond the touching `phalanx` (n, 5) closed to contact.
+    """Close the joints beyond the `phalanx` (n, 5), 0 to 2, that touches, until another phalanx of the digit touches.
 
-    Other arguments are as in `close_fingers`.
+    Returns the flexions (n, 5, 3) in rad of hands that had the flexions `bends`; for the rest see `close_fingers`.
     """
     n, count = len(rows), _N_DISTAL_STEPS
     beyond = np.arange(3) > phalanx[..., None]
@@ -210,7 +211,7 @@ def _close_end_joints(
 
 
 def _find_contacts(gaps: Array, least: float) -> tuple[Array, Flags]:
-    """Return fractional steps (n, 5) at which gaps (n, s, 5) (m) first fall below `-least`, and a mask of contacts."""
+    """Return steps (n, 5), fractional, at which gaps (n, s, 5) (m) fall below `-least`, and a mask; s - 1 if never."""
     hits = gaps < -least
     touches = np.asarray(hits.any(axis=1))
     step = np.where(touches, hits.argmax(axis=1), gaps.shape[1] - 1)
@@ -224,7 +225,7 @@ def _find_contacts(gaps: Array, least: float) -> tuple[Array, Flags]:
 
 
 def _find_firm_grasps(solid: Solid, templates: HandTemplates, palms: Palms, closed: ClosedHands) -> Flags:
-    """Return a mask (n,) of the hands whose thumb and at least two fingers press on opposite sides of the object."""
+    """Return a mask (n,) of the hands whose thumb and two or more fingers press on opposite sides, not too deeply."""
     n = len(palms)
     nearest = closed.gaps.argmin(axis=2)
     touching = closed.gaps.min(axis=2) < _TOUCH_DISTANCE
@@ -244,7 +245,7 @@ def _find_firm_grasps(solid: Solid, templates: HandTemplates, palms: Palms, clos
 
 
 def _encode_grasps(templates: HandTemplates, palms: Palms, rows: Ints, closed: ClosedHands, side: Side) -> HumanGrasps:
-    """Return the grasps of n hands with open postures `rows` (n,); left hands, on a mirrored object, are mirrored."""
+    """Return the grasps of n closed right hands, mirrored in x with the object for the side "left"."""
     base = palms.position - np.einsum("nij,j->ni", palms.rotation, templates.model.palm_offset)
     quaternion = Rotation.from_matrix(palms.rotation).as_quat()
     flip = np.array([-1.0, 1.0, 1.0]) if side == "left" else np.ones(3)
@@ -262,7 +263,7 @@ def _encode_grasps(templates: HandTemplates, palms: Palms, rows: Ints, closed: C
 
 
 def sort_by_farthest_point(grasps: Array) -> Array:
-    """Sort grasps (k, 4, 4) so that each is the one farthest from all before it; k may be 0.
+    """Sort grasps (k, 4, 4): the first stays, each next one is the remaining one farthest from those before it.
 
     Distances are Euclidean in (p, 0.05 a, 0.05 c c^T): the fingers' midpoint p (m), approach axis a, closing axis c.
     """
@@ -307,10 +308,10 @@ def _make_gripper_points() -> Array:
 def draw_robot_grasps(
     random: RandomStream, solid: Solid, n_points: int = 1500, n_grasps: int = 60, is_varied: bool = True
 ) -> Array:
-    """Draw gripper poses (n, 4, 4) in the object's frame (m) that probably hold the object; no simulation is run.
+    """Draw antipodal robot grasps without collisions: gripper poses (n, 4, 4) in the object's frame (m).
 
     Grasps are tried from `n_points` points of the surface, and up to `n_grasps` are chosen; if `is_varied`, those that
-    are far from each other. Poses are rounded to float32; n can be 0.
+    are far from each other. No simulation checks them. Poses are rounded to float32; n can be 0.
     """
     first, second, cosines = solid.sample_antipodal_points(random, n_points, _MAX_OPENING, _CLOSING_TILT)
     noise, draws = random.normals(n_points, 3), random.uniforms(n_points, 2)

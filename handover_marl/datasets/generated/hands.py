@@ -82,7 +82,7 @@ def draw_person(config: GeneratedConfig, number: int) -> Person:
 
 
 class ArrayBatch:
-    """Base class of dataclasses of n items; n is the first dimension of all fields."""
+    """Base class of dataclasses of n items: n is the length of all fields, and indexing by an array selects items."""
 
     def __len__(self) -> int:
         return len(getattr(self, fields(self)[0].name))  # type: ignore[arg-type]
@@ -151,7 +151,7 @@ def _place_spheres(hand: HandGeometry, capsules: Sequence[Capsule], count: int) 
 
 
 def _list_palm_capsules(hand: HandGeometry) -> list[Capsule]:
-    """Return capsules that approximate the reference hand's palm, in its frame: metacarpals and balls of the hand."""
+    """Return capsules that approximate the reference hand's palm, in the palm's frame, given any right hand."""
     index, middle, little, ring, thumb = hand.joint_origins[::3] / hand.scale
     drop, wrist = np.array([0.0, -0.004, 0.0]), 0.0155
     return [
@@ -167,7 +167,7 @@ def _list_palm_capsules(hand: HandGeometry) -> list[Capsule]:
 def place_digits(model: HandGeometry, posture: Posture, bends: Array) -> Array:
     """Return the centers (n, s, 5, 9, 3) of the digits' spheres in the palm's frame (m), three per phalanx.
 
-    Each of the n postures is used with s flexions, `bends` (n, s, 5, 3) in rad, in place of its own.
+    The hands have the n postures, but s flexions each: `bends` (n, s, 5, 3) in rad replace `posture.bends`.
     """
     n, count = bends.shape[:2]
     bent = replace(posture[np.repeat(np.arange(n), count)], bends=bends.reshape(-1, 5, 3))
@@ -186,14 +186,14 @@ def _compute_link_poses(model: HandGeometry, posture: Posture) -> tuple[Array, A
 
 @dataclass(frozen=True, eq=False)
 class Openings(ArrayBatch):
-    """Open hand postures and their gaps between thumb and fingers, in the palm's frame.
+    """Open hand postures and their gaps, from the thumb to the middle of index and middle finger, in the palm's frame.
 
     Attributes:
         posture: n open postures of a hand.
         center: (n, 3) centers of the gaps (m).
         axis: (n, 3) unit vectors from the thumb's pad to the fingers' pads.
         width: (n,) widths of the gaps (m).
-        facing: (n,) cosines of the angles between the fingers' pad normals and the direction to the thumb.
+        facing: (n,) mean cosines between the normals of the index and middle fingers' pads and the thumb's direction.
     """
 
     posture: Posture
@@ -254,8 +254,8 @@ class HandTemplates:
 
     Attributes:
         model: Geometry of the hand.
-        palm: Spheres of the palm, in its frame.
-        forearm: Spheres of the end of the forearm, in the palm's frame.
+        palm: Spheres of the palm, in the palm's frame.
+        forearm: Spheres of the end of the forearm near the wrist, in the palm's frame.
         openings: K open postures with their gaps.
         bends: (K, S, 5, 3) flexion of the digits' joints in S steps of closing without an object (rad).
         path: (K, S, 5, 9, 3) float32 centers of the phalanges' spheres in these steps, in the palm's frame (m).

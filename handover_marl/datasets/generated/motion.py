@@ -132,7 +132,11 @@ def minimum_jerk(time: npt.ArrayLike) -> Array:
 
 
 def _draw_timing(random: RandomStream, speed: float, entry_distance: float, lift_time: float) -> HandoverTiming:
-    """Draw a timing for peak speed (m/s), reach (m), lift (s); in short recordings, reach and lift are shorter."""
+    """Draw the timing of a handover; the number of keyframes is distributed as in DexYCB.
+
+    `speed` is the wrist's peak speed (m/s), `entry_distance` the desired length of the reach (m), `lift_time` the
+    desired time from lift to arrival (s). Reach and lift are shortened if there are too few keyframes.
+    """
     n_keyframes = list(FRAME_COUNTS)[random.weighted_index(list(FRAME_COUNTS.values()))]
     onset = round(random.draw_quantile("hand_onset"))
     onset_share = random.uniform(0.05, 0.40)
@@ -193,7 +197,7 @@ class _HandoverPath:
         return max(fastest / (_LIFT_SPEED_RATIO * speed), _MIN_LIFT_TIME)
 
     def sample_keyframes(self, timing: HandoverTiming, sway: Array) -> tuple[Array, Rotation]:
-        """Return positions (T, 3) and rotations of the object, which sways by up to `sway` (3,) (m) while held out."""
+        """Return T positions (T, 3) (m) and rotations of the object; held out, it moves by `sway` (3,) (m) and back."""
         frames = np.arange(timing.n_keyframes)
         progress = minimum_jerk((frames - timing.lift_keyframe) / (timing.arrival_keyframe - timing.lift_keyframe))
         position, rotation = self.sample(progress)
@@ -244,10 +248,10 @@ def _add_hand_motion(
 
 
 def _compute_reach_path(entry: Array, end: Array, finger_direction: Array, length: float, progress: Array) -> Array:
-    """Return the wrist's positions (n, 3) at shares `progress` (n,) of a Bezier curve of a length (m) to `end` (3,).
+    """Return the wrist's positions (n, 3) on a Bezier curve to `end` (3,) at shares `progress` (n,) of its length (m).
 
-    The curve comes from the direction of `entry` (3,), whose distance is adapted to the length; at its end the tangent
-    is the direction of the fingers (3,).
+    The curve starts in the direction of `entry` (3,), seen from `end`, at a distance that gives the length. It ends
+    along the straight fingers' direction (3,), tilted down.
     """
     direction = (entry - end) / max(float(np.linalg.norm(entry - end)), 1e-9)
     bend = 0.35 * min(length, 0.4)
@@ -277,7 +281,7 @@ def _cumulative_lengths(points: Array) -> Array:
 
 
 def _compute_reach_rotations(start: Array, end: Array, finger_direction: Array, progress: Array) -> Rotation:
-    """Return n rotations from the fingers' direction to that of `end` - `start`, fading as `progress` (n,) nears 1."""
+    """Return n rotations of `finger_direction` towards `end` - `start`, fading out until `progress` (n,) is 0.85."""
     travel = (end - start) / max(float(np.linalg.norm(end - start)), 1e-9)
     axis = np.cross(finger_direction, travel)
     sine = float(np.linalg.norm(axis))
@@ -431,7 +435,7 @@ def resample_fingers(key_times: Array, fingers: Array, times: Array) -> Float32:
 
 
 def _resample_angles(key_times: Array, rotations: Rotation, times: Array) -> Array:
-    """Return intrinsic XYZ Euler angles (T, 3) (rad) at `times`; a constant start and end are not interpolated."""
+    """Return intrinsic XYZ Euler angles (T, 3) (rad) at `times` by slerp, but exactly before and after the motion."""
     quaternions, still = rotations.as_quat(), rotations.as_euler("XYZ")
     moves = np.flatnonzero((quaternions[1:] != quaternions[:-1]).any(axis=1))
     if not len(moves):

@@ -145,7 +145,7 @@ def compute_hull_corners(object_name: str) -> Array:
 
 
 def draw_calibrated_positions(random: RandomStream) -> tuple[Array, Array]:
-    """Draw an object's start x, y (2,) and handover position (3,), table's frame (m), as in DexYCB with either hand."""
+    """Draw an object's start x, y (2,) and handover position (3,), table's frame (m), from DexYCB's statistics."""
     start_x, handover_x = random.draw_correlated_quantiles("start_x", "handover_x", START_HANDOVER_X)
     start_y, handover_y = random.draw_correlated_quantiles("start_y", "handover_y", START_HANDOVER_Y)
     handover_z = random.draw_quantile("handover_z")
@@ -153,7 +153,7 @@ def draw_calibrated_positions(random: RandomStream) -> tuple[Array, Array]:
 
 
 def draw_placement(random: RandomStream, giver: SimulatedGiver, draw_positions: DrawPositions) -> ObjectPlacement:
-    """Draw an object's start pose, human grasp and handover pose; `draw_positions` draws the positions of the poses."""
+    """Draw an object's start pose, human grasp and handover pose, at positions that `draw_positions` draws."""
     start_position, handover_position = draw_positions(random)
     distance = float(np.interp(random.uniform(), LEVELS, giver.wrist_distances))
     tilt = np.radians(random.draw_quantile("tilt"))
@@ -170,7 +170,7 @@ def draw_placement(random: RandomStream, giver: SimulatedGiver, draw_positions: 
 
 
 def _sample_resting_grasps(random: RandomStream, giver: SimulatedGiver, distance: float) -> list[tuple[Array, int]]:
-    """Draw resting rotations (3, 3) of the object, each with the index of a grasp at about the wrist `distance` (m).
+    """Draw up to 3 resting rotations (3, 3) of the object, each with the index of a grasp near a wrist distance (m).
 
     If the hand would touch the table in every grasp, return only the grasp with the highest hand.
     """
@@ -212,10 +212,10 @@ def _make_upright_rotation(axis: int) -> Array:
 
 
 def _find_reachable_grasps(giver: SimulatedGiver, rotations: Array, limit: float) -> npt.NDArray[np.bool_]:
-    """Return a mask (n, g) of those of g human grasps that are clear of the table and come from the giver's side.
+    """Return a mask (n, g) of the human grasps in which the hand is clear of the table and comes from the giver's side.
 
-    The rotations (n, 3, 3) of the object have the same axis up; `limit` is the smallest cosine between the fingers and
-    the direction in which the giver reaches.
+    The n rotations (n, 3, 3) of the object on the table have the same axis up. `limit` is the smallest cosine between
+    the fingers' direction and the direction in which the giver reaches. g is the number of `giver.grasps`.
     """
     up = rotations[0, 2]  # Equal for all yaws.
     clear = (giver.keypoints @ up).min(axis=1) - (giver.corners @ up).min() > JOINT_CLEARANCE
@@ -226,7 +226,7 @@ def _find_reachable_grasps(giver: SimulatedGiver, rotations: Array, limit: float
 def _sample_handover_poses(
     random: RandomStream, giver: SimulatedGiver, grasp: int, position: Array
 ) -> list[tuple[Array, Array]]:
-    """Draw poses (position, matrix) of the object in a grasp at a position (m); if all touch the table, lift one."""
+    """Draw up to 8 object poses (position, matrix) in a grasp at a position (m); if all touch the table, lift one."""
     hand_from_object = giver.object_from_hand[grasp].T
     fitting: list[tuple[Array, Array]] = []
     highest = (-np.inf, np.eye(3))
@@ -247,9 +247,10 @@ def _sample_handover_poses(
 def _compute_costs(
     giver: SimulatedGiver, placements: Sequence[ObjectPlacement], tilt: float, free_grasp_share: float
 ) -> Array:
-    """Return costs (n,) of placements with one human grasp: deviation from a desired tilt (rad) and free grasp share.
+    """Return costs (n,) of placements with the same grasp: weighted deviation from desired tilt and free grasp share.
 
-    The free grasp share is the share of preferred robot grasps that are clear of the giver's hand.
+    The tilt (rad) is the angle between the object's up directions at start and handover. The free grasp share is the
+    share of preferred robot grasps that are clear of the giver's hand.
     """
     rotations = np.stack([placement.handover[1] for placement in placements])
     cosines = np.array([placement.start[1][2] @ placement.handover[1][2] for placement in placements])
@@ -264,7 +265,7 @@ def _compute_costs(
 
 
 def _sample_hand_rotation(random: RandomStream, side: str) -> Array:
-    """Draw the rotation matrix (3, 3) of the person's hand's base in the table's frame at the handover."""
+    """Draw the rotation matrix (3, 3) of the base of the person's hand at the handover, in the table's frame."""
     azimuth = random.draw_quantile("pointing_azimuth")
     elevation, roll = random.draw_correlated_quantiles("pointing_elevation", "roll", ELEVATION_ROLL)
     angles = np.radians([azimuth, elevation, roll])
@@ -287,7 +288,7 @@ def _sample_hand_rotation(random: RandomStream, side: str) -> Array:
 
 @cache
 def _make_gripper_points() -> Array:
-    """Return points (n, 3) in m of the gripper at a grasp and on its approach, in the grasp's hand link frame."""
+    """Return points (n, 3) of the gripper at a grasp and on the approach, in the hand link's frame at the grasp (m)."""
     fingers = [(0.0, side * 0.045, z) for side in (-1, 1) for z in (0.065, 0.085, 0.105)]
     palm = [(0.0, side * y, z) for side in (-1, 1) for y in (0.03, 0.06, 0.09) for z in (0.02, 0.05)]
     points = np.array([*fingers, *palm, (0.0, 0.0, 0.06)])
@@ -312,8 +313,8 @@ def _find_clear_grasps(gripper_points: Array, hand_points: Array) -> npt.NDArray
 def _compute_free_grasp_shares(world_from_object: Array, clear: npt.NDArray[np.bool_], grasps: Array) -> Array:
     """Return the shares (m,) of preferred robot grasps that are clear of the giver's hand, for m object poses (m, 7).
 
-    The preferred grasps among `grasps` (n, 7) have the standoff poses nearest to the pose of the waiting gripper. The
-    mask `clear` (n,) is from `_find_clear_grasps`.
+    The preferred ones of `grasps` (n, 7), in the object's frame, are the `MAX_RANKED_GRASPS` whose standoff poses are
+    nearest to the pose of the waiting gripper. The mask `clear` (n,) is from `_find_clear_grasps`.
     """
     standoffs = compose(compose(world_from_object[:, None], grasps), np.array(RANKING_STANDOFF))
     costs = compute_pose_distances(PREFERRED_HAND_POSE, standoffs.reshape(-1, 7), RANKING_ROTATION_WEIGHT)
@@ -322,7 +323,7 @@ def _compute_free_grasp_shares(world_from_object: Array, clear: npt.NDArray[np.b
 
 
 def make_ycb_clutter_item(class_id: int) -> ClutterItem:
-    """Return an object of a YCB class number, to be placed on the table beside the handed-over object."""
+    """Return the YCB object of a class number as an object for the table, beside the handed-over object."""
     return class_id, compute_hull_corners(CLASS_NAMES[class_id]), UP_AXES[class_id]
 
 

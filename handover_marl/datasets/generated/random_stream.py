@@ -2,8 +2,8 @@
 
 NumPy guarantees the raw output of its bit generators, but not the numbers that `Generator` makes of
 it, so all numbers are derived from raw 64-bit words. `dexycb_statistics.json` has the source, the units and a
-description of every table. The hands' directions and `entry_x` are those of right hands: left hands were mirrored
-(positions x -> 2 * MIRROR_X - x, directions x -> -x). Positions of objects were not mirrored.
+description of every table. The tables of hand directions and of `entry_x` describe right hands: recorded left hands
+were mirrored (positions x -> 2 * MIRROR_X - x, directions x -> -x). Positions of objects were not mirrored.
 """
 
 import json
@@ -119,5 +119,5 @@ class RandomStream:
 
 
 def open_stream(seed: Seed, purpose: str) -> RandomStream:
-    """Return the random stream for a purpose, one of `PURPOSES`, and the scene, object or person of a seed."""
+    """Return the random stream for one of `PURPOSES` and the scene, object or person that `seed` identifies."""
     return RandomStream(*seed, PURPOSES.index(purpose))

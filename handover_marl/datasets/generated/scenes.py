@@ -44,7 +44,7 @@ class GeneratedHandover(NamedTuple):
         giver: Person with the handed-over object.
         class_ids: Class numbers of the objects on the table, the handed-over one first.
         object_dof: (T, n, 6) float32 positions xyz and intrinsic XYZ Euler angles of the objects.
-        hand_dof: (T, 51) float32 joint positions of the hand: 3 positions, 48 angles.
+        hand_dof: (T, 51) float32 joint positions of the hand as in `Scene`.
         hand_first: First frame in which the hand is visible; it remains visible to the end.
     """
 
@@ -63,10 +63,11 @@ def generate_handover(
     draw_positions: DrawPositions = draw_calibrated_positions,
     extend_motion: Callable[[KeyframeMotion, int], KeyframeMotion] | None = None,
 ) -> GeneratedHandover:
-    """Generate the handover by a person: poses, motion, and other objects, whose number is drawn from `clutter_counts`.
+    """Generate the handover by a person: poses, motion, and other objects on the table.
 
-    `draw_item` draws one of the other objects, `draw_positions` the handed-over object's positions at start and
-    handover. `extend_motion` continues a motion after the arrival, given this motion and the index of the grasp.
+    The number of other objects is drawn from `clutter_counts`, each object by `draw_item`. `draw_positions` draws the
+    handed-over object's positions at start and handover. `extend_motion` returns a motion that goes on after the
+    arrival at the handover pose, given the motion until then and the index of the grasp; None keeps the motion.
     """
     placement = draw_placement(open_stream(seed, "placement"), giver, draw_positions)
     motion = draw_motion(seed, placement, giver)
@@ -78,7 +79,7 @@ def generate_handover(
 
 
 class HandoverGenerator(Dataset):
-    """Base class of generated data sets.
+    """Base class of data sets whose scenes are generated when they are loaded.
 
     Attributes:
         scene_format: Format of the scene number in names of scenes, such as "03d".

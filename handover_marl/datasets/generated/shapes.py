@@ -170,7 +170,7 @@ class Solid:
     def compute_distances(self, points: Array) -> Array:
         """Return signed distances (...) in m of points (..., 3) from the surface, negative inside.
 
-        Distances are to the bounding planes, so they are too small for points beyond an edge.
+        Distances are to the bounding planes of the nearest part, so they are too small for points beyond an edge.
         """
         flat = points.reshape(-1, 3)
         distances = [self._measure_parts(rows.T).min(axis=0) for rows in self._split(flat)]
@@ -189,8 +189,8 @@ class Solid:
         """Sample antipodal points on the outer surface, by rays from `count` surface points through the solid.
 
         Pairs are at most `max_width` apart (m). Rays deviate from the normal by a random vector whose components have
-        the standard deviation `direction_std` (rad). Returns points (k, 3) and opposite points (k, 3) in m, and
-        cosines (k,) of the angles between the rays and the normals at the opposite points.
+        the standard deviation `direction_std` (rad). Returns k <= `count` points (k, 3) and opposite points (k, 3) in
+        m, and the cosines (k,) between the rays and the outward normals at the opposite points.
         """
         draws, noise, choices = random.uniforms(count, 3), random.normals(count, 3), random.uniforms(count)
         corners = np.concatenate([part.vertices[part.faces] for part in self.parts])
@@ -264,7 +264,7 @@ def _cone_rings(size: tuple[float, float, float], rounding: float) -> Array:
 
 
 def _rounded_levels(half: float, rounding: float) -> list[tuple[float, float]]:
-    """Return heights and insets (m) of a part's rings for its half length and the rounding of its edges (m)."""
+    """Return (height, inset) in m of each ring of a box or cone with half length `half` and edge radius `rounding`."""
     if rounding == 0.0:
         return [(-half, 0.0), (half, 0.0)]
     inset = 0.7 * rounding
