@@ -67,7 +67,7 @@ def measure_processor(args: Args) -> str:
     The table has a row for each engine and each kind of batch, with its physics steps per second of wall-clock time and
     the ratio to the speed of the engine "fast".
     """
-    where: dict[str, Any] = {"data_dir": args.data_dir, "dataset": args.dataset}
+    where: dict[str, Any] = {"data_dir": args.data_dir, "dataset": args.dataset, "setup": args.setup}
     where["control_period"] = args.control_period
     envs: dict[str, HandoverEnv | ParallelVectorEnv] = {
         physics: handover_marl.parallel_env(physics=physics, **where) for physics in list_available_physics()
@@ -118,7 +118,8 @@ def measure_cameras(args: Args) -> str:
     sizes: dict[tuple[str, int], str] = {(STATE, 224): "state, no camera", (POINTCLOUD, 224): "points"}
     sizes |= {("rgb+depth", side): f"RGB-D, {side} x {side}" for side in (224, 128)}
     envs, frames = list[ParallelVectorEnv](), np.zeros((args.repetitions, 2, len(sizes)))
-    where: dict[str, Any] = {"data_dir": args.data_dir, "dataset": args.dataset, "autoreset": "same_step"}
+    where: dict[str, Any] = {"data_dir": args.data_dir, "dataset": args.dataset, "setup": args.setup}
+    where["autoreset"] = "same_step"
     for mode, side in sizes:
         options = {**where, "obs_mode": mode, "cameras": (make_camera("wrist", width=side, height=side),)}
         envs.append(handover_marl.vector_env(args.vector_envs, None, processes=2, **options))

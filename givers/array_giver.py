@@ -9,7 +9,7 @@ import numpy as np
 from handover_marl.config import CheckedConfig
 from handover_marl.episode.observations import Observation
 from handover_marl.errors import OptionError
-from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, ArrayFactory, get_namespace, widen
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, ArrayFactory, get_namespace, to_float64
 from handover_marl.geometry.vectors import compute_lengths
 from handover_marl.policies.batch import Actions, ArrayPolicy, make_giver_actions
 from handover_marl.policies.policy import Giver, PolicyContext
@@ -86,7 +86,7 @@ def is_hand_previewed(observation: Observation) -> AnyArray:
 
 def compute_gripper_object_distances(observation: Observation) -> AnyArray:
     """Return the distances (r,) from the Panda's hand link to the target object's origin (m), float64."""
-    return widen(compute_lengths(observation["gripper_pose"][:, :3] - observation["object_poses"][:, 0, :3]))
+    return to_float64(compute_lengths(observation["gripper_pose"][:, :3] - observation["object_poses"][:, 0, :3]))
 
 
 def compute_withdrawals(observation: Observation, distance: float | AnyArray) -> AnyArray:

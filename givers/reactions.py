@@ -8,7 +8,7 @@ import numpy as np
 
 from handover_marl.config import CheckedConfig, bounded
 from handover_marl.episode.observations import Observation
-from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, ArrayFactory, widen
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, ArrayFactory, to_float64
 from handover_marl.geometry.panda import FINGERTIPS
 from handover_marl.geometry.poses import transform_points
 from handover_marl.geometry.rotations import quaternions_from_rotation_vectors, rotate_points
@@ -53,7 +53,8 @@ class HandoverPoseVariation:
 
     def update(self, rows: AnyIndices, observation: Observation) -> None:
         """Change `scale` in the episodes among `rows` (r,) in which the gripper has not approached for `timeout`."""
-        xp, now, distance = self._xp, widen(observation["time"][:, 0]), compute_gripper_object_distances(observation)
+        xp, now = self._xp, to_float64(observation["time"][:, 0])
+        distance = compute_gripper_object_distances(observation)
         since, closest = self._since[rows], self._min_distance[rows]
         nearer = xp.isnan(since) | (distance < closest - self.min_approach)
         late = ~nearer & (now - since >= self.timeout)
@@ -155,15 +156,15 @@ class CooperativeGiver(ArrayGiver):
     def _has_arrived(self, observation: Observation) -> AnyArray:
         """Return a mask (r,): whether the hand holds the object, and the recorded wrist hardly moves for 0.5 s."""
         xp, wrist = self.arrays.xp, observation["replay_wrist_poses"][..., :3]
-        moves = widen(xp.max(xp.abs(wrist - wrist[:, :1]), axis=(1, 2)))
+        moves = to_float64(xp.max(xp.abs(wrist - wrist[:, :1]), axis=(1, 2)))
         return (observation["holding"][:, 0] != 0.0) & (moves < self.arrival_tolerance)
 
     def _choose_poses(self, rows: AnyIndices, observation: Observation) -> None:
         """Store displacements and rotations that bring the object, as recorded 0.5 s ahead, closer to the gripper."""
         xp, config = self.arrays.xp, self.config
-        gripper = widen(observation["gripper_pose"][:, :3])
-        wrist = widen(observation["replay_wrist_poses"][:, -1, :3])
-        item = widen(observation["replay_object_poses"][:, -1, :3])
+        gripper = to_float64(observation["gripper_pose"][:, :3])
+        wrist = to_float64(observation["replay_wrist_poses"][:, -1, :3])
+        item = to_float64(observation["replay_object_poses"][:, -1, :3])
         direction = gripper - item
         rotation = self._rotate_towards(item - wrist, direction)
         distance = compute_lengths(direction)
@@ -189,8 +190,8 @@ class CooperativeGiver(ArrayGiver):
         They seem to hold it while they are at rest, neither open nor closed, and near the object (mask `near`, (r,)).
         Only time before the release counts (mask `held`, (r,)).
         """
-        xp, now = self.arrays.xp, widen(observation["time"][:, 0])
-        fingers, speeds = (widen(observation[f"robot_joint_{key}"][:, 7:]) for key in ("position", "velocity"))
+        xp, now = self.arrays.xp, to_float64(observation["time"][:, 0])
+        fingers, speeds = (to_float64(observation[f"robot_joint_{key}"][:, 7:]) for key in ("position", "velocity"))
         resting = xp.all((xp.abs(speeds) < 2e-3) & (fingers > 1e-3) & (fingers < 0.0385), axis=1) & near
         since = self.state["grasped_since"][rows]
         since = xp.where(held, xp.where(resting, xp.where(xp.isnan(since), now, since), math.nan), since)
@@ -259,9 +260,9 @@ class WithdrawingGiver(ArrayGiver):
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
         """Return the actions (r, 8) in the episodes `rows`: withdraw for a time after a fast approach, else replay."""
-        xp, config, state, now = self.arrays.xp, self.config, self.state, widen(observation["time"][:, 0])
+        xp, config, state, now = self.arrays.xp, self.config, self.state, to_float64(observation["time"][:, 0])
         away = observation["hand_keypoints"][:, 0] - observation["gripper_pose"][:, :3]
-        distance = widen(compute_lengths(away))
+        distance = to_float64(compute_lengths(away))
         speed = (state["last_distance"][rows] - distance) / self.control_period
         # Before the second decision with a hand, the speed is nan, which is not above the limit.
         is_present = observation["hand_present"][:, 0] != 0.0
@@ -307,7 +308,7 @@ class EarlyReleaseGiver(ArrayGiver):
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
         """Return the actions (r, 8) in the episodes `rows`: replay, and release the object after the delay."""
-        xp, now = self.arrays.xp, widen(observation["time"][:, 0])
+        xp, now = self.arrays.xp, to_float64(observation["time"][:, 0])
         fingertips = transform_points(observation["gripper_pose"], np.array(FINGERTIPS))
         distance = compute_lengths(fingertips - observation["object_poses"][:, 0, :3])
         is_near = (distance < self.config.distance) & (observation["holding"][:, 0] != 0.0)

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.config import CheckedConfig, bounded
 from handover_marl.episode.observations import Observation
-from handover_marl.geometry.arrays import AnyIndices, to_numpy, widen
+from handover_marl.geometry.arrays import AnyIndices, to_float64, to_numpy
 from handover_marl.geometry.vectors import compute_lengths
 from handover_marl.geometry.ycb import CLASS_NAMES
 from handover_marl.givers.array_giver import ArrayGiver
@@ -228,7 +228,7 @@ class TiredGiver(ArrayGiver):
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
         """Return the actions (r, 8) in the episodes `rows`: the present displacements by tremor and sinking."""
-        xp, config, now = self.arrays.xp, self.config, widen(observation["time"][:, 0])
+        xp, config, now = self.arrays.xp, self.config, to_float64(observation["time"][:, 0])
         since, holds = self.state["holding_since"][rows], observation["holding"][:, 0] != 0.0
         since = self.state["holding_since"][rows] = xp.where(xp.isnan(since) & holds, now, since)
         held = xp.where(xp.isnan(since), 0.0, now - since)
@@ -273,7 +273,7 @@ class InterruptingGiver(ArrayGiver):
         """Return the actions (r, 8) in the episodes `rows`: withdraw during interruptions, else replay."""
         config, until = self.config, to_numpy(self.state["until"][rows])
         now, holding, released = (to_numpy(observation[key][:, 0]) for key in ("time", "holding", "released"))
-        offsets = widen(observation["object_poses"][:, 0, :3] - observation["gripper_pose"][:, :3])
+        offsets = to_float64(observation["object_poses"][:, 0, :3] - observation["gripper_pose"][:, :3])
         away = offsets / compute_lengths(offsets).clip(1e-6)[:, None]
         for place, row in enumerate(rows.tolist()):
             rng, time = self.rngs[row], float(now[place])

@@ -376,7 +376,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
 
 def check_seed(seed: object) -> int:
     """Return the seed of a reset as int; raise `OptionError` if it is not an integer from 0 on."""
-    if not isinstance(seed, (int, np.integer)) or seed < 0:
+    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
         raise OptionError(f"seed must be an integer from 0 on or None, got {seed!r}")
     return int(seed)
 

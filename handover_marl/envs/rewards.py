@@ -28,7 +28,7 @@ from handover_marl.geometry.arrays import (
     as_arrays,
     get_namespace,
     make_constant,
-    widen,
+    to_float64,
 )
 from handover_marl.geometry.panda import FINGERTIPS
 from handover_marl.geometry.poses import inverse_transform_points, transform_points
@@ -80,7 +80,7 @@ class StepBatch:
 
 def compute_outcome(outcome: EpisodeStatus, steps: StepBatch) -> AnyArray:
     """Return 1.0 for episodes whose status after the step has the bit `outcome`, 0.0 for the others, (r,)."""
-    return widen((steps.status & int(outcome)) != 0)
+    return to_float64((steps.status & int(outcome)) != 0)
 
 
 def compute_distance_potential(steps: StepBatch, states: AnyArray) -> AnyArray:
@@ -106,7 +106,7 @@ def compute_shaping(potential: Callable[[StepBatch, AnyArray], AnyArray], steps:
     The potential after a step that terminates the episode is 0.
     """
     # A timeout truncates an episode; only termination ends its potential.
-    goes_on = widen((steps.status & ~int(EpisodeStatus.TIMEOUT)) == 0)
+    goes_on = to_float64((steps.status & ~int(EpisodeStatus.TIMEOUT)) == 0)
     return steps.gamma * goes_on * potential(steps, steps.states[:, -1]) - potential(steps, steps.states[:, -2])
 
 
@@ -118,7 +118,7 @@ def compute_effort(steps: StepBatch) -> AnyArray:
 
 def compute_discomfort(steps: StepBatch) -> AnyArray:
     """Return the discomfort (r,): length of the wrist's displacement (m) + rotation (rad) / 3, times duration (s)."""
-    deviation = widen(steps.state["deviation"])
+    deviation = to_float64(steps.state["deviation"])
     return (compute_lengths(deviation[:, 1:4]) + compute_lengths(deviation[:, 4:]) / 3.0) * steps.duration
 
 
@@ -146,7 +146,7 @@ def compute_clearance(steps: StepBatch) -> AnyArray:
     """Return duration * (min(d, 0.1) - 0.1), (r,) in m s, for distances d to the human hand; 0 without a hand."""
     distances, is_present = compute_hand_distances(steps.state), steps.state["hand_present"][:, 0] != 0.0
     missing = distances.clip(max=CLEARANCE_MARGIN) - CLEARANCE_MARGIN
-    return widen(is_present) * missing * steps.duration
+    return to_float64(is_present) * missing * steps.duration
 
 
 def compute_hand_distances(state: Mapping[str, AnyArray]) -> AnyArray:

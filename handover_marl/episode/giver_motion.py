@@ -25,7 +25,7 @@ from handover_marl.geometry.arrays import (
     get_namespace,
     is_tensor,
     make_constant,
-    widen,
+    to_float64,
 )
 from handover_marl.geometry.kinematic_tree import KinematicTree, read_tree
 from handover_marl.geometry.rotations import quaternions_from_euler, rotate_points
@@ -245,7 +245,7 @@ class GiverMotion:
             is_opening: Whether each hand opens after a voluntary release, (r,).
         """
         xp, state = self._arrays.xp, GiverState(*(values[rows] for values in self.state))
-        actions = widen(actions)
+        actions = to_float64(actions)
         rates, clocks = self._plan_clocks(state, actions[:, 0], steps)
         # Playback times often end in .5; they are rounded to 9 digits first, so that rounding errors do not decide.
         frames = xp.astype(xp.round(xp.round(clocks * 1e9) / 1e9), xp.int64)

@@ -35,14 +35,14 @@ class PolicyDecision:
         receiver_action: (9,) target joint positions in effect from now on, 7 arm (rad) and 2 fingers (m).
         giver_action: (8,) action of the giver, see `giver_action_space`.
         planning_time: Wall-clock time of the receiver's policy (s), without rendering; 0 if it was not called now.
-        receiver_decided: Whether a new action of the receiver takes effect now; otherwise its last action is held.
+        receiver_action_changed: Whether a new action of the receiver takes effect now; otherwise its last one is held.
         giver_decided: Whether the giver's policy acted now; always false if the giver has no policy.
     """
 
     receiver_action: npt.NDArray[np.float32]
     giver_action: npt.NDArray[np.float32]
     planning_time: float
-    receiver_decided: bool
+    receiver_action_changed: bool
     giver_decided: bool
 
 
@@ -300,7 +300,7 @@ def run_episode(
             receiver_action=robot.action,
             giver_action=NO_DEVIATION if person is None else person.action,
             planning_time=robot.planning_time if robot in deciding else 0.0,
-            receiver_decided=robot.action is not held,
+            receiver_action_changed=robot.action is not held,
             giver_decided=person in deciding,
         )
         if callable(until) and until():

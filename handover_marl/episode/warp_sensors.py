@@ -14,7 +14,7 @@ from handover_marl.episode.camera_observations import (
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import IMAGES, POINT_MAP, parse_obs_mode
 from handover_marl.geometry.arrays import AnyArray, ArrayFactory
-from handover_marl.simulation.camera.optics import compute_points, make_pinhole
+from handover_marl.simulation.camera.optics import deproject_pixels, make_pinhole
 from handover_marl.simulation.world import WorldState
 
 # Number of episodes whose images are in memory at a time: the images of an episode take about 1 MB.
@@ -93,7 +93,7 @@ class WarpSensors:
         found = {f"{camera.name}_{key}": getattr(images, key) for key in IMAGES}
         if POINT_MAP in self._parts:
             pixels = self._arrays.asarray(np.arange(pinhole.n_pixels))
-            found[f"{camera.name}_{POINT_MAP}"] = compute_points(pixels, images.depth, self._model, pinhole)
+            found[f"{camera.name}_{POINT_MAP}"] = deproject_pixels(pixels, images.depth, self._model, pinhole)
         return found
 
     def _observe_clouds(self, rows: AnyArray, states: WorldState, steps: AnyArray, camera: CameraConfig) -> Observation:
@@ -105,6 +105,6 @@ class WarpSensors:
             is_point = pixels < pinhole.n_pixels
             known_pixels = xp.where(is_point, pixels, 0)
             depth = xp.take_along_dim(images.depth, known_pixels, dim=1)
-            points = compute_points(known_pixels, depth, self._model, pinhole)
+            points = deproject_pixels(known_pixels, depth, self._model, pinhole)
             clouds[f"{camera.name}_{key}"] = xp.where(is_point[..., None], points, 0.0)
         return {**clouds, f"{camera.name}_point_counts": xp.stack(counts, axis=1)}

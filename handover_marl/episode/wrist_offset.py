@@ -7,7 +7,7 @@ object) is moved by three prismatic and three revolute joints, whose positions a
 import numpy as np
 
 from handover_marl.config import TIME_STEP
-from handover_marl.geometry.arrays import AnyArray, get_namespace, is_tensor, widen
+from handover_marl.geometry.arrays import AnyArray, get_namespace, is_tensor, to_float64
 from handover_marl.geometry.rotations import (
     euler_from_quaternions,
     find_nearest_euler,
@@ -94,7 +94,7 @@ def move_with_wrists(bodies: AnyArray, offsets: AnyArray, wrists_in_base: AnyArr
     differs[:, 1:] = ~(is_same[0] & is_same[1])
     differs = differs.reshape(-1)
     chosen, places = xp.nonzero(differs)[0], xp.cumsum(xp.astype(differs, xp.int64), axis=0) - 1
-    recorded, shifts = widen(bodies.reshape(-1, 2, 6)[chosen]), offsets.reshape(-1, 2, 1, 3)[chosen]
+    recorded, shifts = to_float64(bodies.reshape(-1, 2, 6)[chosen]), offsets.reshape(-1, 2, 1, 3)[chosen]
     orientations = normalize_quaternions(quaternions_from_euler(recorded[..., 3:]))
     wrists = rotate_points(orientations[:, 0], wrists_in_base[chosen // steps])
     pivots = (recorded[:, 0, :3] + wrists)[:, None]
@@ -103,7 +103,7 @@ def move_with_wrists(bodies: AnyArray, offsets: AnyArray, wrists_in_base: AnyArr
     angles = euler_from_quaternions(multiply_quaternions(rotations, orientations).reshape(-1, 4)).reshape(-1, 2, 3)
     positions, angles = (values[places].reshape(count, steps, 2, 3) for values in (positions, angles))
     sequences = xp.permute_dims(angles, (0, 2, 1, 3)).reshape(-1, steps, 3)
-    continued = _continue_euler(sequences, widen(previous).reshape(-1, 3)).reshape(count, 2, steps, 3)
+    continued = _continue_euler(sequences, to_float64(previous).reshape(-1, 3)).reshape(count, 2, steps, 3)
     return xp.astype(xp.concat([positions, xp.permute_dims(continued, (0, 2, 1, 3))], axis=-1), xp.float32)
 
 

@@ -114,12 +114,12 @@ class CrossPlay(TabularResult):
             for giver in self.givers
         ]
         giver_gains = [
-            [giver, baseline, receiver, *self._format_gains((giver, receiver), (baseline, receiver))]
+            [giver, baseline, receiver, *self._format_rate_differences((giver, receiver), (baseline, receiver))]
             for giver in self.givers[1:]
             for receiver in self.receivers
         ]
         receiver_gains = [
-            [receiver, other, giver, *self._format_gains((giver, receiver), (giver, other))]
+            [receiver, other, giver, *self._format_rate_differences((giver, receiver), (giver, other))]
             for giver in self.givers
             for other, receiver in itertools.combinations(self.receivers, 2)
         ]
@@ -153,7 +153,7 @@ class CrossPlay(TabularResult):
         columns = [N_EPISODES, *RATES, WAIT, AVERAGE_SUCCESS, TIMES[0], COUNTS[0]]
         return ReportTable(["giver", "receiver", *(column.title for column in columns)], rows, n_keys=2)
 
-    def _format_gains(self, pair: PolicyPair, baseline: PolicyPair) -> list[object]:
+    def _format_rate_differences(self, pair: PolicyPair, baseline: PolicyPair) -> list[object]:
         """Return table cells: number of scenes, and gains of `pair` over `baseline` in success and contact (points)."""
         sides = [self.reports[each].episodes for each in (pair, baseline)]
         differences = [
@@ -215,8 +215,7 @@ def resolve_policies(
     policy files name may be imported. Different policies with the same label raise `OptionError`.
     """
     is_pair = isinstance(policies, tuple) and any(isinstance(part, Mapping) for part in policies)
-    is_one = is_pair or isinstance(policies, (str, type, Policy, PolicyReference))
-    requested: Any = [policies] if is_one else policies
+    requested: Any = [policies] if is_pair or isinstance(policies, (str, type, Policy, PolicyReference)) else policies
     if not isinstance(requested, Sequence) or not requested:
         raise OptionError(f"{agent}s must name at least one {agent}, got {policies!r}")
     references: dict[str, PolicyReference] = {}

@@ -77,7 +77,7 @@ def to_numpy(array: AnyArray) -> npt.NDArray[Any]:
     return np.asarray(array.detach().cpu() if is_tensor(array) else array)
 
 
-def widen(array: AnyArray) -> AnyArray:
+def to_float64(array: AnyArray) -> AnyArray:
     """Convert an array or tensor to float64."""
     xp = get_namespace(array)
     return xp.astype(array, xp.float64)

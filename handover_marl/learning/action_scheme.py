@@ -144,7 +144,7 @@ class RawScheme(ArrayScheme):
         return xp.astype(self._outputs[rows], xp.float32)
 
 
-class SingleScheme:
+class SingleEpisodeScheme:
     """Action scheme of a single episode, made by `make_scheme`: wraps `scheme`, an `ArrayScheme` of n = 1 episode."""
 
     def __init__(self, scheme: ArrayScheme) -> None:

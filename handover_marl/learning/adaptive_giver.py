@@ -17,7 +17,7 @@ from handover_marl.config import CheckedConfig, bounded
 from handover_marl.episode.metrics.fluency import CHEST, HALF_SHOULDER_WIDTH
 from handover_marl.episode.observations import Observation
 from handover_marl.errors import DataFormatError
-from handover_marl.geometry.arrays import AnyArray, AnyIndices, ArrayFactory, get_namespace, to_numpy, widen
+from handover_marl.geometry.arrays import AnyArray, AnyIndices, ArrayFactory, get_namespace, to_float64, to_numpy
 from handover_marl.geometry.panda import HALF_TURN
 from handover_marl.geometry.poses import compose, inverse_transform_points, invert_pose
 from handover_marl.geometry.rotations import multiply_quaternions, quaternions_from_rotation_vectors
@@ -57,9 +57,9 @@ def draw_offers(rng: np.random.Generator, count: int, spread: float) -> Vectors:
 def compute_offered_poses(observation: Observation, offers: Vectors) -> Array:
     """Return world poses (k, 7; xyzw) of the object at k offers (k, 7), given the giver's observation (1, ...)."""
     origins, frames = compute_handover_frames(observation)
-    shifts = rotate_to_world(frames, widen(offers[:, :3]) * HandoverPoseScheme.max_output_translation)
-    turns = rotate_to_world(frames, widen(offers[:, 3:6]) * HandoverPoseScheme.max_output_rotation)
-    recorded = widen(observation["replay_object_poses"][:, -1, 3:])
+    shifts = rotate_to_world(frames, to_float64(offers[:, :3]) * HandoverPoseScheme.max_output_translation)
+    turns = rotate_to_world(frames, to_float64(offers[:, 3:6]) * HandoverPoseScheme.max_output_rotation)
+    recorded = to_float64(observation["replay_object_poses"][:, -1, 3:])
     rotations = multiply_quaternions(quaternions_from_rotation_vectors(turns), recorded)
     return np.concatenate([origins + shifts, rotations], axis=1)
 
@@ -70,8 +70,8 @@ def compute_added_reaches(observation: Observation, offers: Vectors) -> Array:
     The reach is the distance of the wrist from the nearer shoulder of a person who faces the robot, at the handover
     pose. `observation` has the arrays (1, ...) of the giver's observation.
     """
-    recorded = widen(observation["replay_wrist_poses"][:, -1])
-    wrist_in_object = compose(invert_pose(widen(observation["replay_object_poses"][:, -1])), recorded)
+    recorded = to_float64(observation["replay_wrist_poses"][:, -1])
+    wrist_in_object = compose(invert_pose(to_float64(observation["replay_object_poses"][:, -1])), recorded)
     wrists = np.concatenate([recorded, compose(compute_offered_poses(observation, offers), wrist_in_object)])[:, :3]
     shoulders = np.array(CHEST) + HALF_SHOULDER_WIDTH * np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
     reaches = np.linalg.norm(wrists[:, None] - shoulders, axis=2).min(axis=1)
@@ -127,7 +127,7 @@ class OfferFeatures:
         for (numbers, _), reaches in zip(found, np.split(distances, len(sets), axis=1), strict=True):
             parts += [numbers, reaches, reaches.min(axis=1, keepdims=True)]
         origins, _ = compute_handover_frames(observation)
-        parts += [np.broadcast_to(origins, (len(offers), 3)), widen(offers)]
+        parts += [np.broadcast_to(origins, (len(offers), 3)), to_float64(offers)]
         return np.concatenate(parts, axis=1).astype(np.float32)
 
     def _compute_set(

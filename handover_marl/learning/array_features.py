@@ -12,7 +12,7 @@ from gymnasium import spaces
 
 from handover_marl.config import TIME_STEP
 from handover_marl.episode.observations import Observation, giver_observation_space, state_space
-from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, get_namespace, stack_last, widen
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, get_namespace, stack_last, to_float64
 from handover_marl.geometry.poses import IDENTITY
 from handover_marl.geometry.rotations import (
     conjugate_quaternions,
@@ -83,7 +83,7 @@ def compute_handover_frames(observation: Observation) -> tuple[AnyArray, AnyArra
         Origins (r, 3) in the world (m): the objects' positions 0.5 s ahead in the recordings. Axes in the world, the
         columns of matrices (r, 3, 3).
     """
-    origins = widen(observation["replay_object_poses"][:, -1, :3])
+    origins = to_float64(observation["replay_object_poses"][:, -1, :3])
     xp, to_gripper = get_namespace(origins), observation["gripper_pose"][:, :2] - origins[:, :2]
     length = compute_lengths(to_gripper)
     is_long = length > 1e-6
@@ -119,11 +119,11 @@ class GiverFeatures(ArrayFeatures):
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return the features (r, 39) of the episodes with indices `rows`, whose observations have arrays (r, ...)."""
         origins, axes = compute_handover_frames(observation)
-        xp, wrists = get_namespace(origins), widen(observation["replay_wrist_poses"][:, -1, :3])
-        later = normalize_quaternions(widen(observation["replay_object_poses"][:, -1, 3:]))
+        xp, wrists = get_namespace(origins), to_float64(observation["replay_wrist_poses"][:, -1, :3])
+        later = normalize_quaternions(to_float64(observation["replay_object_poses"][:, -1, 3:]))
         # The fingers keep their position relative to the object until then.
-        now = widen(observation["object_poses"][:, 0])
-        fingers = xp.mean(widen(observation["hand_keypoints"][:, 1:]), axis=1) - now[:, :3]
+        now = to_float64(observation["object_poses"][:, 0])
+        fingers = xp.mean(to_float64(observation["hand_keypoints"][:, 1:]), axis=1) - now[:, :3]
         fingers = rotate_points(conjugate_quaternions(normalize_quaternions(now[:, 3:])), fingers)
         gripper = observation["gripper_pose"][:, :3] - origins
         orientation = matrices_from_quaternions(later)
@@ -153,9 +153,9 @@ class ReceiverFeatures(ArrayFeatures):
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return the features (r, 56) of the episodes with indices `rows`, whose observations have arrays (r, ...)."""
-        gripper, items = widen(observation["gripper_pose"]), widen(observation["object_poses"])
+        gripper, items = to_float64(observation["gripper_pose"]), to_float64(observation["object_poses"])
         xp, axes = get_namespace(gripper), matrices_from_quaternions(gripper[:, 3:])
-        keypoints = widen(observation["hand_keypoints"])
+        keypoints = to_float64(observation["hand_keypoints"])
         hand = xp.stack([keypoints[:, 0], xp.mean(keypoints[:, 1:], axis=1)], axis=1)
         hand = xp.where(observation["hand_present"][..., None] != 0.0, hand, gripper[:, None, :3])
         goal = xp.broadcast_to(self._goal, (len(rows), 1, 3))
@@ -188,13 +188,13 @@ class GraspFeatures(ReceiverFeatures):
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return the features (r, 64) of the episodes with indices `rows`; the 8 of the grasp are last."""
-        vectors = [super().__call__(rows, observation), self.compute_grasps(rows, observation)]
+        vectors = [super().__call__(rows, observation), self.compute_grasp_features(rows, observation)]
         return get_namespace(vectors[0]).concat(vectors, axis=1)
 
-    def compute_grasps(self, rows: AnyArray, observation: Observation) -> AnyArray:
+    def compute_grasp_features(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return the 8 grasp features (r, 8) of the episodes with indices `rows`; zeros where no grasp is known."""
         grasps, clearances, exists = self._selector.select(rows, observation)
-        xp, gripper = get_namespace(grasps), widen(observation["gripper_pose"])
+        xp, gripper = get_namespace(grasps), to_float64(observation["gripper_pose"])
         grasps = xp.where(exists[:, None], grasps, self._arrays.asarray(IDENTITY.copy()))
         gripper_from_world = conjugate_quaternions(normalize_quaternions(gripper[:, 3:]))
         gripper_from_grasp = multiply_quaternions(gripper_from_world, normalize_quaternions(grasps[:, 3:]))
@@ -227,13 +227,13 @@ class GraspVelocityFeatures(GraspFeatures):
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return the features (r, 70) of the episodes `rows`; calls at the same episode time count as one decision."""
-        times, gripper = widen(observation["time"][:, 0]), widen(observation["gripper_pose"])
+        times, gripper = to_float64(observation["time"][:, 0]), to_float64(observation["gripper_pose"])
         xp, axes, parts = (
             get_namespace(times),
             matrices_from_quaternions(gripper[:, 3:]),
             ("object_poses", "hand_keypoints"),
         )
-        positions = xp.stack([widen(observation[key][:, 0, :3]) for key in parts], axis=1)
+        positions = xp.stack([to_float64(observation[key][:, 0, :3]) for key in parts], axis=1)
         later = xp.nonzero(times != self._times[rows])[0]
         known = later[self._times[rows[later]] >= 0.0]
         moved = positions[known] - self._positions[rows[known]]
@@ -262,10 +262,10 @@ class GraspProximityFeatures(GraspFeatures):
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return the features (r, 12) of the episodes with indices `rows`, whose observations have arrays (r, ...)."""
-        grasp = self.compute_grasps(rows, observation)
+        grasp = self.compute_grasp_features(rows, observation)
         xp = get_namespace(grasp)
         translation, rotation, exists = grasp[:, :3], grasp[:, 3:6], grasp[:, 7:]
-        distance, angle = (widen(compute_lengths(vectors)[:, None]) for vectors in (translation, rotation))
+        distance, angle = (to_float64(compute_lengths(vectors)[:, None]) for vectors in (translation, rotation))
         near = xp.exp(-distance / GRASP_SCALE / self.position_scale)
         aligned = xp.exp(-angle / self.angle_scale)
         fingers = 50.0 * observation["robot_joint_position"][:, 7:] - 1.0
@@ -294,7 +294,7 @@ class StackedFeatures(GraspProximityFeatures):
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return features (r, N_STACKED * 12) of the episodes `rows`; calls at the same time count as one decision."""
-        times = widen(observation["time"][:, 0])
+        times = to_float64(observation["time"][:, 0])
         later = rows[times != self._times[rows]]
         self._stacks[later, 1:] = self._stacks[later, :-1]
         self._times[rows] = times

@@ -103,7 +103,7 @@ class CustomFeatures(ArrayFeatures):
     ) -> None:
         if not callable(choice):
             raise OptionError(f"{FEATURES} must be a name, a class or a function, got {choice!r}")
-        self.name, self._arrays = name or _get_name(choice), arrays
+        self.agent, self.name, self._arrays = agent, name or _get_name(choice), arrays
         self._label = f"{FEATURES} {self.name!r}"
         self._functions = _make_instances(FEATURES, agent, choice, context, count)
         self.size = _check_size(self._label, getattr(self._functions[0], "size", None), "features")

@@ -4,7 +4,7 @@ from typing import Any
 
 from handover_marl.errors import check_name
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory
-from handover_marl.learning.action_scheme import ArrayScheme, SingleScheme
+from handover_marl.learning.action_scheme import ArrayScheme, SingleEpisodeScheme
 from handover_marl.learning.array_features import (
     ArrayFeatures,
     FlatGiverFeatures,
@@ -146,6 +146,6 @@ def make_array_scheme(
     return CustomScheme(agent, own, context, count, arrays, choice if isinstance(choice, str) else "")
 
 
-def make_scheme(agent: str, choice: SchemeLike, context: PolicyContext) -> SingleScheme:
+def make_scheme(agent: str, choice: SchemeLike, context: PolicyContext) -> SingleEpisodeScheme:
     """Make an agent's action scheme for a single episode; arguments are those of `make_array_scheme`."""
-    return SingleScheme(make_array_scheme(agent, choice, context, LowestCostGraspSelector(context, 1), 1))
+    return SingleEpisodeScheme(make_array_scheme(agent, choice, context, LowestCostGraspSelector(context, 1), 1))

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from handover_marl.config import ARM_DOF
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arm import ArmKinematics, solve_damped
-from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, get_namespace, is_tensor, widen
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, get_namespace, is_tensor, to_float64
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import HALF_TURN, LOWER_LIMITS, UPPER_LIMITS
 from handover_marl.geometry.poses import compose, inverse_transform_points, invert_pose
@@ -91,12 +91,12 @@ class GraspCosts:
     def compute_clearance_costs(self, clearances: AnyArray) -> AnyArray:
         """Return the costs (...) in m of clearances (...) in m, see `compute_clearances`."""
         costs = self.clearance_weight * (self.desired_clearance - clearances).clip(0.0)
-        return costs + self.contact_cost * widen(clearances < self.min_clearance)
+        return costs + self.contact_cost * to_float64(clearances < self.min_clearance)
 
     def compute_reach_costs(self, distances: AnyArray) -> AnyArray:
         """Return the costs (...) in m of distances (...) in m from reachable poses, see `compute_reach_distances`."""
         costs = self.reach_weight * distances.clip(None, MAX_REACH_DISTANCE)
-        return costs + self.unreachable_cost * widen(distances > self.reach_tolerance)
+        return costs + self.unreachable_cost * to_float64(distances > self.reach_tolerance)
 
     def compute_clearances(self, poses: AnyArray, joints: AnyArray) -> AnyArray:
         """Return clearances (r, k) in m: distances of human hands from the gripper at k grasps and on its way there.
@@ -213,7 +213,7 @@ class LowestCostGraspSelector:
         known = xp.nonzero(index >= 0)[0]
         if not len(known):
             return
-        observation = {key: widen(values[known]) for key, values in observation.items()}
+        observation = {key: to_float64(values[known]) for key, values in observation.items()}
         objects = observation["object_poses"][:, 0]
         poses, clearances = self._find_best(index[known], objects, observation)
         self._selected[rows[known]] = compose(objects, poses)
@@ -234,12 +234,12 @@ class LowestCostGraspSelector:
         gripper = compose(invert_pose(objects), observation["gripper_pose"])
         costs = self._costs.compute_motion_costs(poses, gripper) + GraspCosts.hold_weight * hold_costs
         costs[~self._table.is_grasp[index]] = xp.inf
-        poses, costs = _take_lowest(_N_CLEARANCES, costs, poses)
+        poses, costs = _select_lowest(_N_CLEARANCES, costs, poses)
         joints = inverse_transform_points(objects[:, None], observation["hand_keypoints"])
         clearances = self._costs.compute_clearances(poses, joints)
         clearances[observation["hand_present"][:, 0] == 0.0] = MAX_CLEARANCE
         costs = costs + self._costs.compute_clearance_costs(clearances)
-        poses, clearances, costs = _take_lowest(_N_REACHES, costs, poses, clearances)
+        poses, clearances, costs = _select_lowest(_N_REACHES, costs, poses, clearances)
         place, first = self._arrays.arange(len(costs)), xp.argmin(costs, axis=1)
         robots = observation["robot_joint_position"]
         lowest = costs[place, first] + self._compute_reach_costs(poses[place, first], objects, robots)
@@ -257,7 +257,7 @@ class LowestCostGraspSelector:
         return self._costs.compute_reach_costs(distances)[:, 0]
 
 
-def _take_lowest(count: int, costs: AnyArray, *arrays: AnyArray) -> tuple[AnyArray, ...]:
+def _select_lowest(count: int, costs: AnyArray, *arrays: AnyArray) -> tuple[AnyArray, ...]:
     """Select from arrays (r, g, ...) the `count` entries of lowest cost (r, g) in each row; return also their costs.
 
     The costs are last. The order of the entries remains, so that `argmin` finds the first of equal costs.

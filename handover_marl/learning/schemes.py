@@ -4,7 +4,7 @@ from handover_marl.config import ARM_DOF, PANDA_DOF
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE, giver_action_space
 from handover_marl.geometry.arm import ArmKinematics, solve_damped
-from handover_marl.geometry.arrays import AnyArray, get_namespace, stack_last, widen
+from handover_marl.geometry.arrays import AnyArray, get_namespace, stack_last, to_float64
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import CLOSED, LOWER_LIMITS, OPEN, UPPER_LIMITS, WAITING_JOINTS
 from handover_marl.geometry.rotations import (
@@ -133,7 +133,7 @@ class HandoverPoseScheme(ArrayScheme):
         outputs, (center, axes) = self._outputs[rows], compute_handover_frames(observation)
         turn = rotate_to_world(axes, outputs[:, 3:6]) * self.max_output_rotation
         # Actions rotate about the wrist, so the translation compensates the object's motion.
-        wrist = widen(observation["replay_wrist_poses"][:, -1, :3])
+        wrist = to_float64(observation["replay_wrist_poses"][:, -1, :3])
         rotated = wrist + rotate_points(quaternions_from_rotation_vectors(turn), center - wrist)
         self._shift[rows] = center + rotate_to_world(axes, outputs[:, :3]) * self.max_output_translation - rotated
         self._turn[rows], self._has_pose[rows] = turn, True
@@ -208,7 +208,7 @@ class JointDeltaScheme(JointScheme, InvertibleScheme):
     def outputs_from_actions(self, actions: AnyArray, observation: Observation) -> AnyArray:
         """Return outputs (r, 8) for target positions (r, 9); too large increments are scaled down by one factor."""
         xp, arm = self._arrays.xp, observation["robot_joint_position"][:, :ARM_DOF]
-        deltas = _limit_largest((widen(actions[:, :ARM_DOF]) - arm) / self.step)
+        deltas = _limit_largest((to_float64(actions[:, :ARM_DOF]) - arm) / self.step)
         return xp.concat([deltas, self._encode_fingers(actions)], axis=1)
 
 
@@ -269,9 +269,9 @@ class CartesianDeltaScheme(HandMotionScheme, InvertibleScheme):
 
         Too large translations and rotations are scaled down without a change of direction.
         """
-        xp, arm = self._arrays.xp, widen(observation["robot_joint_position"][:, :ARM_DOF])
+        xp, arm = self._arrays.xp, to_float64(observation["robot_joint_position"][:, :ARM_DOF])
         jacobian, _, axes = self._robot.compute_hand_jacobians(arm)
-        twist = xp.sum(jacobian * (widen(actions[:, :ARM_DOF]) - arm)[:, None], axis=2)
+        twist = xp.sum(jacobian * (to_float64(actions[:, :ARM_DOF]) - arm)[:, None], axis=2)
         translations = rotate_to_frame(axes, twist[:, :3]) / self.max_output_translation
         rotations = rotate_to_frame(axes, twist[:, 3:]) / self.max_output_rotation
         parts = [_limit_largest(translations), _limit_largest(rotations), self._encode_fingers(actions)]

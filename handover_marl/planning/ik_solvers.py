@@ -97,7 +97,7 @@ def solve_ik(
         if is_reached.all() or step == iterations:
             break
         left = ~is_reached
-        change = _smallest_motion(arm.compute_jacobian(chain)[rows][..., left], error[:, left], damping)
+        change = _compute_smallest_joint_change(arm.compute_jacobian(chain)[rows][..., left], error[:, left], damping)
         active = active[left]
         if min_step:
             is_moving = np.abs(change).max(axis=1) >= min_step
@@ -135,7 +135,7 @@ def compute_pose_error(origins: Array, hand_rotations: Array, positions: Array, 
     return np.concatenate([positions - origins, twice_sine * scale])
 
 
-def _smallest_motion(jacobian: Array, error: Array, damping: float) -> Array:
+def _compute_smallest_joint_change(jacobian: Array, error: Array, damping: float) -> Array:
     """Return the joint changes (n, 7) of least norm that reduce pose errors (k, n), for Jacobians (k, 7, n)."""
     rows = np.ascontiguousarray(jacobian.transpose(2, 0, 1))
     gram = rows @ rows.transpose(0, 2, 1) + damping * np.eye(len(error))

@@ -99,7 +99,7 @@ class BodyTrajectory:
         if start is not None:
             self.joints[:] = start
 
-    def predict_positions(self, row: int) -> Array:
+    def get_positions(self, row: int) -> Array:
         """Return the world positions (n - row, 3) of wrist or object origin in m after each step from `row` on.
 
         The reference motion has n steps. Positions are inf while the body is absent.

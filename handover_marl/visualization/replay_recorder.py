@@ -89,7 +89,7 @@ class ReplayRecorder(EpisodeCallback):
     def on_decision(self, episode: Episode, decision: PolicyDecision) -> None:
         """Record point clouds whenever a new action of a receiver that observes the wrist camera takes effect."""
         obs_mode = STATE if self._receiver is None else self._receiver.obs_mode
-        if has_camera(obs_mode) and decision.receiver_decided and episode.has_wrist_camera:
+        if has_camera(obs_mode) and decision.receiver_action_changed and episode.has_wrist_camera:
             clouds = _observed_clouds(episode, obs_mode)
             object_points, hand_points = (np.array(cloud[:: len(cloud) // _MAX_POINTS + 1]) for cloud in clouds)
             self.clouds.append((episode.steps, episode.world.read_joint_snapshot(), object_points, hand_points))

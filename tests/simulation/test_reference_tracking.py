@@ -31,6 +31,6 @@ def test_results_do_not_depend_on_the_division_of_targets_or_other_bodies() -> N
         track_references([(other, targets[rows], None), (cut, targets[rows], present[rows])])
         parts.append(cut.joints[2:])
     np.testing.assert_array_equal(whole.joints[2:], np.concatenate(parts))
-    np.testing.assert_array_equal(np.isinf(whole.predict_positions(0)).all(axis=1), ~present)
+    np.testing.assert_array_equal(np.isinf(whole.get_positions(0)).all(axis=1), ~present)
     appears = np.flatnonzero(present[1:] & ~present[:-1])[0] + 1
     np.testing.assert_array_equal(whole.get_joints(int(appears)), targets[appears], "absent bodies appear there")

@@ -172,7 +172,7 @@ def _draw_giver(config: GeneratedConfig, scene_id: int, split: str) -> tuple[Sim
                 up_axes=item.up_axes,
                 wrist_distances=np.quantile(grasps.wrist_distance, LEVELS).tolist(),
                 grasps=grasps,
-                robot_grasps=_draw_few_grasps(config, number),
+                robot_grasps=_draw_grasps_for_free_share(config, number),
             )
             return giver, seed
     raise HandoverError(
@@ -212,7 +212,7 @@ def _open_grasp_stream(config: GeneratedConfig, number: int) -> tuple[RandomStre
 
 
 @lru_cache(maxsize=256)
-def _draw_few_grasps(config: GeneratedConfig, number: int) -> Array | None:
+def _draw_grasps_for_free_share(config: GeneratedConfig, number: int) -> Array | None:
     """Return hand link poses (n, 7), xyz (m), xyzw, at 5 to 32 robot grasps in the object's frame; None if fewer."""
     random, solid = _open_grasp_stream(config, number)
     grasps = draw_robot_grasps(random, solid, _N_SKETCH_POINTS, _N_SKETCH_GRASPS, is_varied=False)

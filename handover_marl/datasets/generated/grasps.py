@@ -133,7 +133,7 @@ def _sample_open_hands(
     grip = openings.center[rows] + np.column_stack([depth, 0.35 * depth, np.zeros_like(depth)])
     middle = 0.5 * (thumb_side + finger_side)[fits] + 0.004 * noise[:, 3:]
     palms = Palms(middle - np.einsum("nij,nj->ni", rotation, grip), rotation)
-    free = find_free_hands(solid, templates, palms, rows)
+    free = find_collision_free_hands(solid, templates, palms, rows)
     return palms[free], rows[free]
 
 
@@ -144,7 +144,7 @@ def _find_lowest_points(templates: HandTemplates, palms: Palms, rows: Ints, dire
     return np.asarray((palms.transform(centers) @ directions.T).min(axis=1))
 
 
-def find_free_hands(solid: Solid, templates: HandTemplates, palms: Palms, rows: Ints) -> Ints:
+def find_collision_free_hands(solid: Solid, templates: HandTemplates, palms: Palms, rows: Ints) -> Ints:
     """Return the indices of those of n open hands that are clear of the object, up to a skin overlap of 1 to 2 mm."""
     # A few spheres of thumb and index finger reject five of six hands.
     digits, spheres = _PROBED_SPHERES

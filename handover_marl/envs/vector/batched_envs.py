@@ -109,7 +109,7 @@ class EncodedEpisodeBatch:
         """Return for each of the episodes `rows` whether it has terminated or was truncated, (r,)."""
         return self._terminated[rows] | self._truncated[rows]
 
-    def find_rows_without_outputs(self, rows: AnyIndices) -> AnyIndices:
+    def find_rows_needing_no_outputs(self, rows: AnyIndices) -> AnyIndices:
         """Return those `rows` whose running episode needs no outputs now; none with two agents or without a scheme."""
         if len(self._agents) > 1 or not self._schemes:
             return rows[:0]
@@ -262,7 +262,7 @@ class BatchedEnvGroup:
             for row in left.tolist():
                 self._begin(row, options)
             current = self.arrays.asarray(self._current[left])
-            while len(waiting := episodes.find_rows_without_outputs(current)):
+            while len(waiting := episodes.find_rows_needing_no_outputs(current)):
                 episodes.clear_rewards(waiting)
                 episodes.advance(waiting, {})
             left = left[to_numpy(episodes.have_ended(current))]
@@ -282,10 +282,10 @@ class BatchedEnvGroup:
         episodes.clear_rewards(current)
         active = current
         while len(active):
-            coming = episodes.find_rows_without_outputs(self.arrays.asarray(self._next[self._next != _NONE]))
+            coming = episodes.find_rows_needing_no_outputs(self.arrays.asarray(self._next[self._next != _NONE]))
             episodes.clear_rewards(coming)
             episodes.advance(self.arrays.xp.concat([active, coming]), actions)
-            active = episodes.find_rows_without_outputs(active)
+            active = episodes.find_rows_needing_no_outputs(active)
         return episodes.make_result(current)
 
     def render(self) -> None:

@@ -86,7 +86,7 @@ def merge_values(count: int, row_values: Sequence[tuple[AnyArray, Any]]) -> Any:
     if isinstance(first, Mapping):
         if any(values.keys() != first.keys() for _, values in row_values):
             # Only infos of single environments differ, which are NumPy arrays.
-            row_values = [(rows, _mark(values, np.ones(len(rows), dtype=bool))) for rows, values in row_values]
+            row_values = [(rows, _add_masks(values, np.ones(len(rows), dtype=bool))) for rows, values in row_values]
         keys = dict.fromkeys(key for _, values in row_values for key in values)
         return {key: merge_values(count, [(rows, values.get(key)) for rows, values in row_values]) for key in keys}
     if isinstance(first, tuple):
@@ -99,7 +99,7 @@ def merge_values(count: int, row_values: Sequence[tuple[AnyArray, Any]]) -> Any:
     return merged
 
 
-def _mark(infos: Mapping[str, AnyArray], every: Flags) -> dict[str, AnyArray]:
+def _add_masks(infos: Mapping[str, AnyArray], every: Flags) -> dict[str, AnyArray]:
     """Return infos (r, ...) with a mask under `_KEY` for each key KEY; `every` (r,) is the mask of keys without one."""
     return {f"_{key}": every for key in infos if not _is_mask(key, infos)} | dict(infos)
 

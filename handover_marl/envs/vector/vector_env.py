@@ -205,7 +205,7 @@ def vector_env(
         return env if features is None and action_scheme is None else encode(env, features, action_scheme)
 
     template = make_single()
-    obstacle = _find_obstacle(template, backend)
+    obstacle = _find_unmet_condition(template, backend)
     if obstacle and backend == WARP:
         raise OptionError(f"environments with backend='warp' must have {obstacle}; use backend='threads'")
     # Groups share the template and the scenes; processes make their own.
@@ -236,7 +236,7 @@ def _make_envs(
     `template` and `load_scene` are arguments of `BatchedEnvGroup`; if None, a template and a cache of scenes are made.
     """
     template = template or make_single()
-    if _find_obstacle(template, backend.name):
+    if _find_unmet_condition(template, backend.name):
         return SequentialEnvGroup(make_single, count)
     return BatchedEnvGroup(template, count, prefetches, load_scene or _cache_scenes(template), backend)
 
@@ -245,7 +245,7 @@ def _cache_scenes(template: WrappableEnv) -> Callable[[int], Scene]:
     return functools.lru_cache(maxsize=_CACHED_SCENES)(template.unwrapped.dataset.load_scene)
 
 
-def _find_obstacle(template: WrappableEnv, backend: str) -> str:
+def _find_unmet_condition(template: WrappableEnv, backend: str) -> str:
     """Return the first unmet condition for simulating environments together on arrays, as text; "" if all are met."""
     config, wrappers = template.unwrapped.config, list_wrappers(template)
     kinds = [type(env) for env in wrappers]

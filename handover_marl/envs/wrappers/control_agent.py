@@ -21,7 +21,7 @@ class FixedPartnerEnv(ParallelWrapper):
     observations nor its actions.
 
     Attributes:
-        live_agent: Agent that is controlled from outside, "receiver" or "giver".
+        controlled_agent: Agent that is controlled from outside, "receiver" or "giver".
         partner_agent: Agent that the partner policy acts for.
         reference: Reference to the partner's policy, which can make more instances of the policy.
         policy: Policy of the partner.
@@ -35,7 +35,7 @@ class FixedPartnerEnv(ParallelWrapper):
         check_name("agent", agent, AGENTS)
         super().__init__(env, [agent])
         EzPickle.__init__(self, env, agent, partner, trust)
-        self.live_agent = agent
+        self.controlled_agent = agent
         self.partner_agent = GIVER if agent == RECEIVER else RECEIVER
         if set(env.possible_agents) != set(AGENTS):
             raise OptionError(f"env must have both agents, got only {' and '.join(env.possible_agents)}")
@@ -59,7 +59,7 @@ class FixedPartnerEnv(ParallelWrapper):
             self._rng, _ = seeding.np_random(check_seed(seed))
         results = self.env.reset(seed=seed, options=options)
         self.unwrapped.set_partner(self.partner_agent, self.policy, int(self._rng.integers(2**32)))
-        observations, infos = ({self.live_agent: by_agent[self.live_agent]} for by_agent in results)
+        observations, infos = ({self.controlled_agent: by_agent[self.controlled_agent]} for by_agent in results)
         return observations, infos
 
     def step(self, actions: dict[str, Any]) -> ParallelStep:
@@ -70,7 +70,7 @@ class FixedPartnerEnv(ParallelWrapper):
         Args:
             actions: `{agent: action}` of the agent that is controlled from outside.
         """
-        live, partner = self.live_agent, self.partner_agent
+        live, partner = self.controlled_agent, self.partner_agent
         if not isinstance(actions, dict) or actions.keys() - {live}:
             raise ActionError(
                 f"actions must be a dict with one action, for the {live}; a policy acts for the {partner}"

@@ -97,6 +97,8 @@ class EncodedEnv(ParallelWrapper):
             outputs.control_period = base.config.control_period
             features_name = self._features[agent].name if agent in self._features else OBSERVATION
             outputs.encoding = {"agent": agent, "features": features_name, "actions": self._schemes[agent].name}
+            if agent == RECEIVER:
+                outputs.encoding["obs_mode"] = base.config.obs_mode
         self._observations: dict[str, Observation] = {}
         self._has_skipped = self._has_ended = False
 

@@ -122,7 +122,7 @@ class DemonstrationRecorder(EpisodeCallback):
 
     def on_decision(self, episode: Episode, decision: PolicyDecision) -> None:
         """Record new actions, and without a frame rate the observation at a new action of the receiver."""
-        if decision.receiver_decided:
+        if decision.receiver_action_changed:
             self._receiver.append((episode.steps, decision.receiver_action.copy()))
             if self._fps is None:
                 self._record_observation(episode)

@@ -22,8 +22,8 @@ from handover_marl.evaluation.strangers.report import (
     estimate_mean_score,
     list_differences,
     make_report,
-    read_entry,
     read_report,
+    read_strangers_entry,
 )
 from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import check_path, forward_signature, require_modules
@@ -82,7 +82,7 @@ def strangers(
         options["scenes"] = select_scenes_evenly(scenes, n_scenes)
     folder = execution.folder
     if folder is not None and not execution.overwrite and (folder / ENTRY_FILE).is_file():
-        stored = read_entry(folder)
+        stored = read_strangers_entry(folder)
         if (stored.population, stored.partner_split) != (found.label, partners):
             raise OptionError(
                 f"out must be a folder for population {found.label}, families of {partners}, got {folder} with "

@@ -198,7 +198,7 @@ class StrangersReport(TabularResult):
     def write(self, folder: Path) -> None:
         """Write population, agent and pairs (`strangers.json`) and the tables (`strangers.md`) to an output folder."""
         pairs = [(report.metadata.giver, report.metadata.receiver) for report in self.reports.values()]
-        entry = Entry(self.population, self.partner_split, self.agent, pairs)
+        entry = StrangersEntry(self.population, self.partner_split, self.agent, pairs)
         write_atomically(folder / ENTRY_FILE, json.dumps(entry._asdict(), indent=1) + "\n")
         write_atomically(folder / TABLES_FILE, f"# Strangers\n\n{self}\n")
 
@@ -236,7 +236,7 @@ def make_report(crossplay: CrossPlay, population: Population, split: str, agent:
     return StrangersReport(population.label, split, agent, names, partners, reports)
 
 
-class Entry(NamedTuple):
+class StrangersEntry(NamedTuple):
     """Content of `strangers.json`: population, families of partners, agent, and labels (giver, receiver) of pairs."""
 
     population: str
@@ -245,14 +245,14 @@ class Entry(NamedTuple):
     pairs: list[PolicyPair]
 
 
-def read_entry(folder: Path) -> Entry:
+def read_strangers_entry(folder: Path) -> StrangersEntry:
     """Read `strangers.json` in an output folder of `strangers`; raise `ResultsError` if that fails."""
     path = folder / ENTRY_FILE
     try:
         content = json.loads(read_plain_file(path, _MAX_BYTES))
         pairs = [(str(giver), str(receiver)) for giver, receiver in content["pairs"]]
         population, partner_split, agent = (str(content[key]) for key in ("population", "partner_split", "agent"))
-        entry = Entry(population, partner_split, agent, pairs)
+        entry = StrangersEntry(population, partner_split, agent, pairs)
         if entry.agent not in OTHER_AGENT:
             raise ValueError(f"agent must be one of {', '.join(OTHER_AGENT)}")
     except FileNotFoundError as error:
@@ -267,7 +267,7 @@ def read_entry(folder: Path) -> Entry:
 
 def read_report(folder: Path, population: Population) -> StrangersReport:
     """Compute the report of an output folder of `strangers` from the stored results of its episodes."""
-    entry = read_entry(folder)
+    entry = read_strangers_entry(folder)
     if entry.population != population.label:
         raise OptionError(
             f"{folder} must be of population {population.label}, got {entry.population}; pass the population's file"

@@ -5,7 +5,6 @@ import functools
 import os
 import sys
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -38,7 +37,7 @@ def as_receiver(
     policy: ModelLike,
     *,
     control_period: float | None = None,
-    obs_mode: str = STATE,
+    obs_mode: str | None = None,
     features: FeaturesLike | None = None,
     action_scheme: SchemeLike | None = None,
     name: str | None = None,
@@ -59,7 +58,8 @@ def as_receiver(
     Args:
         policy: See the table.
         control_period: Time between two decisions (s); default: as in training if that is recorded, else 0.1 s.
-        obs_mode: Observation mode, e.g. "state" or "pointcloud", see `handover_marl.parallel_env`.
+        obs_mode: Observation mode, e.g. "pointcloud", see `handover_marl.parallel_env`; default: as in training, or
+            "state" if that is not recorded.
         features: Features that are the inputs, as in `handover_marl.encode`; "observation" for the observation itself.
         action_scheme: Action scheme that decodes the outputs, as in `handover_marl.encode`.
         name: Name in tables and result folders; default: the name of the function, class or file and a hash.
@@ -73,9 +73,9 @@ def as_receiver(
         DataFormatError: A file is damaged, or its policy is for the other agent or other spaces.
         UnsafeFileError: A policy file names a module, and `trust` is False.
     """
-    parse_obs_mode(obs_mode)
+    parse_obs_mode(obs_mode or STATE)
     overrides = {"features": features, "actions": action_scheme, "control_period": control_period}
-    return _adapt("receiver", policy, overrides, obs_mode, name, trust)
+    return _adapt("receiver", policy, overrides | {"obs_mode": obs_mode}, name, trust)
 
 
 def as_giver(
@@ -93,17 +93,15 @@ def as_giver(
     errors are the same as for `as_receiver`.
     """
     overrides = {"features": features, "actions": action_scheme, "control_period": control_period}
-    return _adapt("giver", policy, overrides, STATE, name, trust)
+    return _adapt("giver", policy, overrides, name, trust)
 
 
-def _adapt(
-    agent: str, policy: Any, overrides: dict[str, Any], obs_mode: str, name: str | None, trust: bool
-) -> PolicyReference:
+def _adapt(agent: str, policy: Any, overrides: dict[str, Any], name: str | None, trust: bool) -> PolicyReference:
     check_boolean("trust", trust)
     if name is not None and not (isinstance(name, str) and name.strip()):
         raise OptionError(f"name must be text that is not empty, got {name!r}")
-    stem, function, spec = _read_model(agent, policy, overrides, obs_mode == STATE, trust)
-    spec = replace(spec, obs_mode=obs_mode)
+    stem, function, spec = _read_model(agent, policy, overrides, trust)
+    obs_mode = spec.obs_mode
     check_encodings(agent, spec.features, spec.actions)
     if spec.features in list_features(agent) and not has_state(obs_mode):
         raise OptionError(
@@ -128,12 +126,12 @@ def _adapt(
 
 
 def _read_model(
-    agent: str, policy: Any, overrides: dict[str, Any], has_only_state: bool, trust: bool
+    agent: str, policy: Any, overrides: dict[str, Any], trust: bool
 ) -> tuple[str, Callable[[Any], Any], PolicySpec]:
     """Return the default name of a model, its function from inputs to outputs, and the encoding of these.
 
-    `overrides` has the fields of `PolicySpec` that the caller chose. If observations have no camera data
-    (`has_only_state`), a PyTorch module gets flat vectors by default, else dicts.
+    `overrides` has the fields of `PolicySpec` that the caller chose. If observations have no camera data, a PyTorch
+    module gets flat vectors by default, else dicts.
     """
     if isinstance(policy, (str, os.PathLike)):
         path = Path(policy).expanduser()
@@ -147,7 +145,7 @@ def _read_model(
         return type(policy).__name__, dense_network_from_sb3(policy), spec
     stem, function = _wrap_function(policy)
     features, actions = RAW_ENCODINGS[agent]
-    takes_vectors = isinstance(function, TorchFunction) and has_only_state
+    takes_vectors = isinstance(function, TorchFunction) and overrides.get("obs_mode") in (None, STATE)
     recorded = {"features": features if takes_vectors else OBSERVATION, "actions": actions}
     return stem, function, complete_spec("policy", agent, recorded, overrides)
 

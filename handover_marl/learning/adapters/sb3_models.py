@@ -90,8 +90,7 @@ def get_recorded_encoding(model: BaseAlgorithm) -> dict[str, Any]:
     recorded = dict(getattr(space, "encoding", {}))
     if not recorded:
         for agent, make_space in _SPACES.items():
-            own = make_space()
-            if space.shape == own.shape and np.allclose(space.low, own.low) and np.allclose(space.high, own.high):
+            if space == make_space():
                 features, actions = RAW_ENCODINGS[agent]
                 recorded = {"agent": agent, "features": features, "actions": actions}
     period = getattr(space, "control_period", None)

@@ -298,11 +298,11 @@ class PandaBody(ArticulatedBody):
         self.client.changeVisualShape(self.id, self._camera_link, rgbaColor=rgba)
 
     def park(self) -> None:
-        """Put the robot at its initial joint positions without collisions, until `reset_to_start` is called."""
+        """Put the robot at its initial joint positions without collisions, until `reset_robot` is called."""
         self.reset_joints(self._start)
         self.set_collision_mask(0)
 
-    def reset_to_start(self, joints: Sequence[float]) -> None:
+    def reset_robot(self, joints: Sequence[float]) -> None:
         """Set the robot to nine joint positions (rad, m), at rest, with collisions and without cached contacts."""
         self._target = None
         self.reset_joints(to_float32_list(joints))

@@ -151,7 +151,7 @@ class FastWorld(BulletWorld):
             for urdf, mask, state in zip(assets.objects, masks, start.objects[0], strict=True):
                 self._objects.append(SleepableObject(self._client, urdf, mask, state, self._config.objects))
             self._row, self._free_until = -1, 0
-            panda.reset_to_start(robot_joints)
+            panda.reset_robot(robot_joints)
 
     def set_reference(self, motion: ReferenceMotion) -> None:
         """Set the joint targets of human hand and objects in the coming steps; row k of `motion` is for step k."""
@@ -208,7 +208,7 @@ class FastWorld(BulletWorld):
             panda.read_joint_states(),
             panda.read_link_poses(self._motion_bounds.links),
             robot_target,
-            np.stack([body.predict_positions(row) for body in asleep], axis=1),
+            np.stack([body.get_positions(row) for body in asleep], axis=1),
             np.array([body.reach for body in asleep]),
         ).tolist()
         min_steps = min(_MIN_FREE_STEPS, self._n_rows - row)

@@ -190,11 +190,11 @@ def deproject(
     name raises `UnknownNameError`.
     """
     pixels = np.flatnonzero(mask)
-    points: Array = compute_points(pixels, depth.ravel()[pixels], camera_model, camera)
+    points: Array = deproject_pixels(pixels, depth.ravel()[pixels], camera_model, camera)
     return points
 
 
-def compute_points(
+def deproject_pixels(
     pixels: AnyArray, depth: AnyArray, camera_model: str = HANDOVERSIM_MODEL, camera: Pinhole = WRIST_CAMERA
 ) -> AnyArray:
     """Compute the 3D points (..., 3) of pixels from their numbers, counted row by row, and their depths, both (...).

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from handover_marl.config import MAX_OBJECTS, PhysicsConfig
 from handover_marl.datasets.dataset import SceneAssets
 from handover_marl.errors import ResetNeededError
-from handover_marl.geometry.arrays import AnyArray, ArrayFactory, GrowableArray, widen
+from handover_marl.geometry.arrays import AnyArray, ArrayFactory, GrowableArray, to_float64
 from handover_marl.geometry.kinematic_tree import TreeBatch, read_tree
 from handover_marl.geometry.model_files.meshes import VisualMesh, read_visual_meshes
 from handover_marl.geometry.model_files.surfaces import read_surfaces
@@ -281,7 +281,7 @@ class WarpCamera:
         worlds = self._arrays.arange(len(rows))[:, None]
         turns = turned[:, None].mT @ rotations[worlds, frames]
         places = ((origins[worlds, frames] - pinhole[:, None])[..., None, :] @ turned[:, None])[..., 0, :]
-        spheres = widen(buffers.spheres.rows[meshes])
+        spheres = to_float64(buffers.spheres.rows[meshes])
         centers = places + (turns @ spheres[..., :3, None])[..., 0]
         inputs = (
             (buffers.identifiers.rows[meshes], warp.int64),
@@ -308,12 +308,12 @@ class WarpCamera:
         """Return world origins (r, f, 3) and rotations (r, f, 3, 3) of robot's and hand's links, objects and world."""
         xp = self._arrays.xp
         origins, rotations = self._robots.compute_link_frames(
-            self._robot[rows], widen(states.robot_joint_position)[:, None]
+            self._robot[rows], to_float64(states.robot_joint_position)[:, None]
         )
         robots = origins[:, 0] @ self._base_rotation.mT + self._base_position, self._base_rotation @ rotations[:, 0]
-        joints = widen(states.hand_dof_position)[:, None]
+        joints = to_float64(states.hand_dof_position)[:, None]
         origins, rotations = self._hands.compute_link_frames(self._hand[rows], joints)
-        objects = widen(states.object_poses)
+        objects = to_float64(states.object_poses)
         world = xp.zeros_like(objects[:, :1, :3]), xp.zeros_like(rotations[:, 0, :1])
         world[1].diagonal(dim1=-2, dim2=-1)[:] = 1.0
         parts = (

@@ -168,12 +168,12 @@ class SleepState:
         """
         groups: dict[tuple[RobotOnlySimulation, tuple[int, ...]], list[tuple[SleepState, int, list[float], Array]]] = {}
         for world, row, target, hand in zip(worlds, rows, targets, hands, strict=True):
-            centers = np.stack([body.predict_positions(row) for body in [hand, *world.objects]], axis=1)
+            centers = np.stack([body.get_positions(row) for body in [hand, *world.objects]], axis=1)
             groups.setdefault((world._simulation, centers.shape), []).append((world, row, target, centers))
         for (simulation, shape), group in groups.items():
             starts = [(world._robot, row - world._first_row) for world, row, *_ in group]
             robots = simulation.simulate(starts, [target for *_, target, _ in group], shape[0])
-            radii = np.array([[world._scene.hand_reach, *world._scene.object_reaches] for world, *_ in group])
+            radii = np.array([[world._scene.hand_reach, *world._scene.object_radii] for world, *_ in group])
             near = group[0][0]._scene.robot_only.motion_bounds.is_near(
                 np.stack([robot.sphere_centers for robot in robots]),
                 np.stack([centers for *_, centers in group]),

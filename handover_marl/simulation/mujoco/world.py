@@ -116,7 +116,7 @@ class MujocoWorld(World):
     def step(self, robot_target: list[float]) -> None:
         """Simulate one physics step towards nine joint targets of the Panda (rad, m)."""
         prepare_worlds([self], [robot_target])
-        self.keep_steps(simulate_worlds([self], 1), 0, 1)
+        self.apply_rollout_step(simulate_worlds([self], 1), 0, 1)
 
     def rollout(self, robot_target: list[float], steps: int, judge: JudgeFunction, rules: ProtocolConfig) -> int:
         """Simulate up to `steps` physics steps in one call; return their number, see `World.rollout`."""
@@ -198,7 +198,7 @@ class MujocoWorld(World):
         super().close()
         self._data = self.sleep_state = None
 
-    def keep_steps(self, rollout: MujocoRollout | None, number: int, steps: int) -> None:
+    def apply_rollout_step(self, rollout: MujocoRollout | None, number: int, steps: int) -> None:
         """Set world `number` of a rollout (None for a sleeping world) to its state after 1 or more `steps` of it."""
         if rollout is not None:
             self.data.set_step(*(array[number, steps - 1] for array in rollout))
@@ -285,7 +285,7 @@ def prepare_worlds(worlds: Sequence[MujocoWorld], robot_targets: Sequence[list[f
         own, data = [world for world, _ in group], [world.data for world, _ in group]
         targets = np.array([target for _, target in group])
         controls = compute_controls(data, targets, np.stack([one.reference.objects[one.controls_row :] for one in own]))
-        wrists = np.array([one.hand.predict_positions(one.controls_row) for one in own])
+        wrists = np.array([one.hand.get_positions(one.controls_row) for one in own])
         free_steps = count_hand_free_steps(data, [one.robot for one in own], targets, wrists).tolist()
         for number, (world, free) in enumerate(zip(own, free_steps, strict=True)):
             world.controls = controls[number]
@@ -297,7 +297,7 @@ def prepare_worlds(worlds: Sequence[MujocoWorld], robot_targets: Sequence[list[f
 def simulate_worlds(worlds: Sequence[MujocoWorld], steps: int) -> MujocoRollout | None:
     """Simulate `steps` steps, at most the `remaining_steps`, of prepared worlds with equal `rollout_key`s.
 
-    The worlds keep their states until `MujocoWorld.keep_steps`. The result is None for sleeping worlds.
+    The worlds keep their states until `MujocoWorld.apply_rollout_step`. The result is None for sleeping worlds.
     """
     if worlds[0].sleep_state is not None:
         return None
@@ -348,7 +348,7 @@ def rollout_worlds(
                 contacts = sensors.compute_rollout_contacts(rollout.sensordata.swapaxes(0, 1), qpos, rules)
             end = judge(indices, contacts)
             for number, (world, n_kept) in enumerate(zip(own, end.steps.tolist(), strict=True)):
-                world.keep_steps(rollout, number, n_kept)
+                world.apply_rollout_step(rollout, number, n_kept)
                 if end.released[number]:
                     world.release_target()
             simulated[indices] += end.steps

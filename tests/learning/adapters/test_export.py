@@ -35,9 +35,8 @@ def make_env(name: str, **options: Any) -> Any:
 @pytest.fixture(scope="module")
 def encoded() -> Iterator[Any]:
     """Return an environment with features and action scheme, and the control period 0.2 s."""
-    env = handover_marl.control_agent(
-        handover_marl.parallel_env(dataset="synthetic", physics="fast", control_period=0.2), "receiver", "replay"
-    )
+    options: Any = {"dataset": "synthetic", "physics": "fast", "control_period": 0.2, "obs_mode": "state+depth"}
+    env = handover_marl.control_agent(handover_marl.parallel_env(**options), "receiver", "replay")
     choice = CHOICES["receiver"]
     env = handover_marl.encode(env, choice["features"], choice["action_scheme"], api="gymnasium")
     yield env
@@ -83,14 +82,14 @@ def test_encoded_models_act_as_there(kind: str, encoded: Any, tmp_path: Path) ->
         model = make_model(kind, training)
         path = handover_marl.export_policy(model, tmp_path / "policy.npz", origin="a test")
         spec, network, _ = read_policy(path, "receiver")
-        assert spec == PolicySpec("receiver", "grasp", "cartesian_delta", 0.2, "a test")
+        assert spec == PolicySpec("receiver", "grasp", "cartesian_delta", 0.2, "a test", "state+depth")
         for observation in seen:
             inputs = training.normalize_obs(observation) if is_normalized else observation
             expected, _ = model.predict(inputs, deterministic=True)
             # Features without normalization are large, and processors sum their products in different orders.
             np.testing.assert_allclose(network(observation), expected, atol=1e-5 if is_normalized else 1e-4)
         direct: Any = handover_marl.as_receiver(model).make(DATA)
-        assert direct.hold_time == 0.2
+        assert (direct.hold_time, direct.obs_mode) == (0.2, "state+depth")
         np.testing.assert_array_equal(direct.function(seen[0]), network(seen[0]))
 
 

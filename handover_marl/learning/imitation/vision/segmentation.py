@@ -136,7 +136,7 @@ def _find_classes(segmentation: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
     return numbers[segmentation]
 
 
-class BodyClouds(NamedTuple):
+class ObjectHandClouds(NamedTuple):
     """Clouds of n points in each of v views, as inputs of `PointSegmentationNetwork`.
 
     Attributes:
@@ -152,7 +152,7 @@ class BodyClouds(NamedTuple):
     classes: npt.NDArray[np.uint8]
 
 
-def collect_clouds(network: SegmentationNetwork, views: SegmentationViews, rng: Rng) -> BodyClouds | None:
+def collect_clouds(network: SegmentationNetwork, views: SegmentationViews, rng: Rng) -> ObjectHandClouds | None:
     """Return clouds of the views in which the network finds enough pixels of object or hand; None without such a view.
 
     The depths of a view give points in the hand link's frame. The direction of the world's z axis in this frame is
@@ -174,7 +174,7 @@ def collect_clouds(network: SegmentationNetwork, views: SegmentationViews, rng: 
     if not rows:
         return None
     points, margins, hand_links, chosen_classes = map(np.stack, zip(*rows, strict=True))
-    return BodyClouds(points.astype(np.float32), margins, hand_links.astype(np.float32), chosen_classes)
+    return ObjectHandClouds(points.astype(np.float32), margins, hand_links.astype(np.float32), chosen_classes)
 
 
 def _fit_vertical(
@@ -192,7 +192,7 @@ def _fit_vertical(
     return np.stack([side, np.cross(up, side), up]), np.array([0.0, 0.0, height])
 
 
-#: Fields of `SegmentationViews` or `BodyClouds` for a batch of images or clouds; the last field has the classes.
+#: Fields of `SegmentationViews` or `ObjectHandClouds` for a batch of images or clouds; the last field has the classes.
 Batch = tuple[Tensor, ...]
 
 
@@ -228,7 +228,7 @@ class SegmentationBatches(LabelledBatches):
 
 
 class PointBatches(LabelledBatches):
-    """Data set of `BodyClouds`."""
+    """Data set of `ObjectHandClouds`."""
 
     def augment(self, number: int, rng: Rng) -> Sequence[npt.NDArray[Any]]:
         """Return 256 random points of a cloud, turned, tilted, mirrored and scaled at random, with noise."""

@@ -79,7 +79,7 @@ class SceneModel:
         hand_links: URDF link numbers (k,) of the bodies of the hand.
         robot_only: Model without hand and objects, in which robot bodies have the same numbers.
         hand_reach: Upper bound on the distance of any point of the hand from the origin of its wrist joints (m).
-        object_reaches: Upper bounds (m,) on the distance of any point of each object from the object's origin, in m.
+        object_radii: Upper bounds (m,) on the distance of any point of each object from the object's origin, in m.
     """
 
     model: "mujoco.MjModel"
@@ -97,7 +97,7 @@ class SceneModel:
     hand_links: Index
     robot_only: RobotOnlyModel
     hand_reach: float
-    object_reaches: npt.NDArray[np.float64]
+    object_radii: npt.NDArray[np.float64]
 
 
 @functools.lru_cache(maxsize=64)
@@ -169,7 +169,7 @@ def load_scene_model(assets: SceneAssets, config: PhysicsConfig, padding: ModelP
         hand_links=np.array(built.hand_links, dtype=np.int32),
         robot_only=_load_robot_only(*workcell),
         hand_reach=_compute_reach(assets.hand, BASE_JOINTS - 1),
-        object_reaches=np.array([_compute_reach(urdf, _OBJECT_LINK) for urdf in assets.objects]),
+        object_radii=np.array([_compute_reach(urdf, _OBJECT_LINK) for urdf in assets.objects]),
     )
 
 

@@ -8,7 +8,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from handover_marl.learning.imitation.vision.segmentation import (
-    BodyClouds,
+    ObjectHandClouds,
     PointBatches,
     PointSegmentationLearner,
     SegmentationViews,
@@ -22,7 +22,7 @@ from handover_marl.simulation.camera.optics import deproject
 SHAPE = (224, 224)
 
 
-def make_clouds(count: int, seed: int = 0) -> BodyClouds:
+def make_clouds(count: int, seed: int = 0) -> ObjectHandClouds:
     """Make clouds of a ball, the hand, above a flat object."""
     rng = np.random.default_rng(seed)
     points = np.array([0.3, -0.2, 1.2]) + rng.normal(0.0, 0.02, (count, 768, 3))
@@ -30,7 +30,7 @@ def make_clouds(count: int, seed: int = 0) -> BodyClouds:
     points[..., 2] = np.where(is_hand, points[..., 2] + 0.08, 1.2)
     classes = np.where(is_hand, HAND_CLASS, OBJECT_CLASS).astype(np.uint8)
     margins, links = np.zeros((count, 768)), np.tile([0.3, 0.0, 1.3], (count, 1))
-    return BodyClouds(*(part.astype(np.float32) for part in (points, margins, links)), classes)
+    return ObjectHandClouds(*(part.astype(np.float32) for part in (points, margins, links)), classes)
 
 
 def test_the_place_on_the_table_does_not_matter_but_the_height_does() -> None:
