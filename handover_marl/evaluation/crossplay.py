@@ -215,7 +215,8 @@ def resolve_policies(
     policy files name may be imported. Different policies with the same label raise `OptionError`.
     """
     is_pair = isinstance(policies, tuple) and any(isinstance(part, Mapping) for part in policies)
-    requested: Any = [policies] if is_pair or isinstance(policies, (str, type, Policy, PolicyReference)) else policies
+    is_one = is_pair or isinstance(policies, (str, type, Policy, PolicyReference))
+    requested: Any = [policies] if is_one else policies
     if not isinstance(requested, Sequence) or not requested:
         raise OptionError(f"{agent}s must name at least one {agent}, got {policies!r}")
     references: dict[str, PolicyReference] = {}

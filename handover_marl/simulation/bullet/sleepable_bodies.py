@@ -14,7 +14,7 @@ from handover_marl.config import TIME_STEP, HandConfig, ObjectConfig
 from handover_marl.errors import SimulationError
 from handover_marl.execution.reading import cached_by_file
 from handover_marl.geometry.kinematic_tree import BoundingSphere, read_tree
-from handover_marl.geometry.model_files.urdf import UrdfShape, read_urdf_shapes
+from handover_marl.geometry.model_files.urdf import UrdfShape, read_model_mtimes, read_urdf_shapes
 from handover_marl.geometry.poses import IDENTITY, compose, inverse_transform_points
 from handover_marl.simulation.bullet.bodies import HAND_MASK, ObjectBody
 from handover_marl.simulation.bullet.client import BulletClient, connect, load_urdf, pybullet_error
@@ -33,7 +33,7 @@ _EMPTY_MASK = 0
 _REST_TOLERANCE = 1e-7
 
 
-@cached_by_file(maxsize=None)
+@cached_by_file(None, read_model_mtimes)
 def read_bounding_spheres(urdf: Path) -> dict[int, BoundingSphere]:
     """Return bounding spheres, measured by PyBullet, of all links with collision shapes, by number; -1 is the base."""
     # A separate physics client keeps the body numbers of the worlds independent of this cache.

@@ -24,6 +24,7 @@ from handover_marl.simulation.bullet.bodies import HAND_MASK, TABLE_MASK, HandBo
 from handover_marl.simulation.bullet.bodies import compute_object_masks as compute_masks
 from handover_marl.simulation.bullet.client import connect
 from handover_marl.simulation.bullet.kinematics import BulletIKSolver, BulletIKStep
+from handover_marl.simulation.bullet.sleepable_bodies import read_bounding_spheres
 
 
 @pytest.mark.slow
@@ -52,6 +53,19 @@ def test_second_window_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pybullet, "connect", refuse)
     with pytest.raises(SimulationError, match="close the other environment"):
         connect(window=True)
+
+
+def test_bounding_spheres_are_those_of_the_present_mesh(tmp_path: Path) -> None:
+    urdf, mesh, radii = tmp_path / "thing.urdf", tmp_path / "thing.obj", []
+    shape = '<collision><geometry><mesh filename="thing.obj"/></geometry></collision>'
+    urdf.write_text(f'<robot name="thing"><link name="thing">{shape}</link></robot>')
+    for size in (0.1, 0.2):
+        corners = [(0.0, 0.0, 0.0), (size, 0.0, 0.0), (0.0, size, 0.0), (0.0, 0.0, size)]
+        faces = "f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+        mesh.write_text("".join(f"v {x} {y} {z}\n" for x, y, z in corners) + faces)
+        os.utime(mesh, (size, size))
+        radii.append(read_bounding_spheres(urdf)[-1].radius)
+    assert radii[1] > 1.5 * radii[0]
 
 
 def test_close_after_the_server_has_gone() -> None:
