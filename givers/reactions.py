@@ -130,7 +130,7 @@ class CooperativeGiver(ArrayGiver):
         self._pose_variation.reset(row)
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return actions (r, 8): hold out the object towards the gripper, and withdraw the hand after the release."""
+        """Return actions (r, 8): hold out the object, release it when the fingers seem to hold it, then withdraw."""
         xp, state = self.arrays.xp, self.state
         released = observation["released"][:, 0] != 0.0
         present = is_hand_previewed(observation)

@@ -132,8 +132,8 @@ def _check_number(name: str, value: Any, is_integer: bool, limits: tuple[float, 
 class MotorConfig(CheckedConfig):
     """Motor parameters of the position control of a group of joints.
 
-    In fast and MuJoCo physics, `force` and `velocity_gain` have no effect on the human hand, and on an object only once
-    the Panda has come near it.
+    In fast and MuJoCo physics, `force` and `velocity_gain` have no effect on the human hand, and none on an object
+    before a body is near the Panda or an object was released.
 
     Attributes:
         force: Largest motor force (N) or torque (N m), at least 0.001.

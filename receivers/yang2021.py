@@ -26,7 +26,7 @@ from handover_marl.geometry.arrays import (
     Indices,
     to_numpy,
 )
-from handover_marl.geometry.poses import compose, compute_pose_distances
+from handover_marl.geometry.poses import compose, compute_squared_pose_distances
 from handover_marl.geometry.rotations import compute_rotation_angles
 from handover_marl.geometry.vectors import compute_dot_products, compute_lengths
 from handover_marl.planning.ik_solvers import ThreadIkSolver
@@ -55,7 +55,7 @@ class YangConfig(CheckedConfig):
         close_decision_period: Time between decisions while the fingers close (s); longer times make batches faster.
         standoff: (7,) standoff pose (quaternion xyzw) of the hand link, relative to its pose at the grasp.
         preferred_pose: (7,) preferred world pose (quaternion xyzw) of the hand link; standoffs near it cost less.
-        rotation_weight: Weight of rotations in a standoff's cost (m^2); see `compute_pose_distances`.
+        rotation_weight: Weight of rotations in a standoff's cost (m^2); see `compute_squared_pose_distances`.
         max_candidates: Maximum number of grasps that are checked for reachability.
         region_width: Distance of the hand link from the line between standoff and grasp below which the link moves
             straight to the grasp (m). It is multiplied by 1 + `region_slope` times the length of the line.
@@ -267,8 +267,8 @@ class Yang2021Receiver(ArrayPolicy, Receiver):
         """Return the costs (r, n) in m^2 of standoffs (r, n, 7) for hand links with present poses (r, 7)."""
         references, weight = self._references[rows], self.config.rotation_weight
         references = np.where(np.isnan(references), hands, references)
-        to_preferred = compute_pose_distances(self.config.preferred_pose, standoffs, weight)
-        return compute_pose_distances(references, standoffs, weight) + to_preferred
+        to_preferred = compute_squared_pose_distances(self.config.preferred_pose, standoffs, weight)
+        return compute_squared_pose_distances(references, standoffs, weight) + to_preferred
 
     def _move_to_grasps(self, rows: Indices, observation: Observation) -> Array:
         """Return the arm joints (r, 7) in rad one step closer to the grasps, nan without an IK solution."""

@@ -140,8 +140,8 @@ def verify(
     """Simulate the stored actions of a result folder and compare outcomes and metrics.
 
     The receiver's code is not needed. The simulation uses the physics, robot, giver and seed that the folder states.
-    Outcome, steps, release step and description of every scene must be equal, and metrics equal up to rounding (1e-6).
-    Planning and inference times, and label and hash of the receiver, cannot be verified.
+    Outcome, steps and release step of every scene must be equal, metrics up to rounding (1e-6); in the same version,
+    also the scene's description and the giver's hash. Reports must agree with results. Times are not verified.
 
     Args:
         folder: Result folder, of this library or of HandoverSim; nothing in it is changed.

@@ -136,10 +136,10 @@ class ArmKinematics:
 
 
 class IndependentArmKinematics(ArmKinematics):
-    """Kinematics of a Panda, in which chain frames do not depend, to the last bit, on the other configurations.
+    """Kinematics of a Panda, in which the chain frames of a row do not depend, to the last bit, on the other rows.
 
-    The frames of the fingers may depend on them. Arguments and errors are those of `ArmKinematics`, which is slower for
-    few configurations and faster for hundreds.
+    So results are the same for any batch size. The frames of the fingers may depend on other rows. Arguments and errors
+    are those of `ArmKinematics`, which is slower for few rows and faster for hundreds.
     """
 
     def __init__(self, tree: KinematicTree) -> None:

@@ -55,7 +55,7 @@ RANKING_STANDOFF = (0.0, 0.0, -0.2, 0.0, 0.0, 0.0, 1.0)
 #: World pose (7,) of the hand link near the waiting joints; standoffs are ranked by their distance to it.
 PREFERRED_HAND_POSE = (*(0.6914180, -0.4314530, 1.5511079), *(0.6429956, 0.6701149, 0.2626269, -0.2617819))
 
-#: Weight (m^2) of the rotations in `compute_pose_distances`.
+#: Weight (m^2) of the rotations in `compute_squared_pose_distances`.
 RANKING_ROTATION_WEIGHT = 0.5
 
 #: Largest number of grasps that are considered: those of the best ranks.

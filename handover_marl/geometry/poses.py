@@ -64,7 +64,7 @@ def inverse_transform_points(a_from_b: AnyArray, points: AnyArray) -> AnyArray:
     return rotate_points(conjugate_quaternions(pose[..., 3:]), at - pose[..., :3])
 
 
-def compute_pose_distances(pose: npt.ArrayLike, poses: Array, rotation_weight: float) -> Array:
+def compute_squared_pose_distances(pose: npt.ArrayLike, poses: Array, rotation_weight: float) -> Array:
     """Compute distances (..., n) in m^2 between `pose` (..., 7) and each of `poses` (..., n, 7), to rank grasps.
 
     A distance is the squared distance of the positions plus `rotation_weight` (m^2) times 1 - (p . q)^2, where p

@@ -246,11 +246,10 @@ class GraspVelocityFeatures(GraspFeatures):
 class GraspProximityFeatures(GraspFeatures):
     """Features (12) that suffice to decide when to close the gripper.
 
-    In the gripper frame: translation (3, m times `GRASP_SCALE`) and rotation vector (3, rad) to the grasp that
-    `LowestCostGraspSelector` chooses. Then follow the proximities of position and orientation, exp(-distance / scale)
-    (2, 1 at the grasp), the robot's finger joints (2, m times 50, minus 1), whether the object was released (1), and
-    whether grasps of the object are known (1; without, all features of the grasp are 0). With so few features a policy
-    learns from few episodes to close the gripper.
+    The first six are translation (m times `GRASP_SCALE`) and rotation vector (rad), in the gripper frame, to the grasp
+    that `LowestCostGraspSelector` chooses. Two are proximities of position and orientation, exp(-distance / scale),
+    which are 1 at the grasp. Two are the robot's finger joints q as 50 q - 1 (q in m). The last two are flags: whether
+    the object was released, and whether grasps of the object are known; if not, all features of the grasp are 0.
 
     Attributes:
         position_scale: Distance from the grasp at which the proximity of the position is 1/e (m).

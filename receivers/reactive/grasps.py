@@ -305,7 +305,7 @@ def _count_stable(validator: "GraspValidator", pose: Array, config: GraspPrepara
 
 
 def _find_advance(validator: "GraspValidator", pose: Array, config: GraspPreparationConfig) -> int:
-    """Return the number, from 1, of the first of `advances` at which a grasp (7,) is free of collisions; 0 if none."""
+    """Return the number, from 1, of the first advance (m deeper) at which a grasp (7,) is free of collisions; or 0."""
     for number, distance in enumerate(config.advances, start=1):
         deeper = advance_grasp(pose, distance + _MIN_ADVANCE_CLEARANCE)
         if validator.is_collision_free(_gripper_matrix(deeper)):

@@ -114,7 +114,7 @@ class PointCloudSceneEstimate(SceneEstimate):
             self._update_obstacles(others)
 
     def _vote(self, object_points: Array, hand_points: Array) -> tuple[Array, Array]:
-        """Return points (n, 3) of object and hand, relabeled by the votes of recent views, in the hand link's frame."""
+        """Return points (n, 3) of object and human hand in the gripper's frame, relabeled by votes of recent views."""
         points, position = np.concatenate([object_points, hand_points]), self.tracker.position
         if not len(points) or not position.is_known:
             return object_points, hand_points

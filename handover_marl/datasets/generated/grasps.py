@@ -138,7 +138,7 @@ def _sample_open_hands(
 
 
 def _find_lowest_points(templates: HandTemplates, palms: Palms, rows: Ints, directions: Array) -> Array:
-    """Return the lowest coordinates (n, k) in m, along k directions (k, 3), of n hands in open postures `rows` (n,)."""
+    """Return for n open hands (postures `rows`) the lowest sphere centers along k directions (k, 3): (n, k), in m."""
     palm = np.broadcast_to(templates.palm[0], (len(rows), *templates.palm[0].shape))
     centers = np.concatenate([palm, templates.path[rows, 0].reshape(len(rows), templates.radii.size, 3)], axis=1)
     return np.asarray((palms.transform(centers) @ directions.T).min(axis=1))

@@ -33,7 +33,7 @@ from handover_marl.geometry.panda import (
 )
 from handover_marl.geometry.poses import (
     compose,
-    compute_pose_distances,
+    compute_squared_pose_distances,
     poses_from_matrices,
     poses_from_rotations,
     transform_points,
@@ -317,7 +317,7 @@ def _compute_free_grasp_shares(world_from_object: Array, clear: npt.NDArray[np.b
     nearest to the pose of the waiting gripper. The mask `clear` (n,) is from `_find_clear_grasps`.
     """
     standoffs = compose(compose(world_from_object[:, None], grasps), np.array(RANKING_STANDOFF))
-    costs = compute_pose_distances(PREFERRED_HAND_POSE, standoffs.reshape(-1, 7), RANKING_ROTATION_WEIGHT)
+    costs = compute_squared_pose_distances(PREFERRED_HAND_POSE, standoffs.reshape(-1, 7), RANKING_ROTATION_WEIGHT)
     order = np.argsort(costs.reshape(len(standoffs), -1), axis=1, kind="stable")
     return np.asarray(clear[order[:, :MAX_RANKED_GRASPS]].mean(axis=1))
 

@@ -137,18 +137,18 @@ class StrangersReport(TabularResult):
     def estimate_all(self) -> dict[str, Estimate]:
         """Return estimates (0..1) of the metrics of a method, by the keys of `COLUMNS`."""
         return self._estimate_means(range(len(self.partners))) | {
-            "worst_partner_success": estimate_rate(np.min, self.successes, None),
-            "largest_partner_contact": estimate_rate(np.max, self.contacts, None),
+            "worst_partner_success": estimate_partner_rate(np.min, self.successes, None),
+            "largest_partner_contact": estimate_partner_rate(np.max, self.contacts, None),
         }
 
     def _estimate_means(self, indices: Sequence[int]) -> dict[str, Estimate]:
         """Return estimates of success, contact and AS (0..1), by key, over the partners at the given `indices`."""
         families = [self.partners[number].family for number in indices]
-        success = estimate_rate(np.mean, self.successes[:, indices], families)
+        success = estimate_partner_rate(np.mean, self.successes[:, indices], families)
         score = estimate_mean_score(self.scores[:, indices], families)
         return {
             "success": success,
-            "contact": estimate_rate(np.mean, self.contacts[:, indices], families),
+            "contact": estimate_partner_rate(np.mean, self.contacts[:, indices], families),
             # Without a success the jackknife has no width, as in `estimate_average_success`.
             AVERAGE_SUCCESS.key: score if score.mean else replace(score, interval_95=success.interval_95),
         }
@@ -313,7 +313,7 @@ def estimate_mean_score(scores: Array, families: Sequence[str] | None, minus: Ar
     return Estimate(value, (max(0.0 if minus is None else -1.0, low), min(1.0, high)), scores.size)
 
 
-def estimate_rate(statistic: Statistic, flags: Array, families: Sequence[str] | None) -> Estimate:
+def estimate_partner_rate(statistic: Statistic, flags: Array, families: Sequence[str] | None) -> Estimate:
     """Estimate a `statistic` of the partners' rates, with a 95 % interval at least as wide as Wilson's.
 
     `flags` (policies, partners, scenes) has 0 or 1 for each episode. `families` is as in `estimate_mean_score`; None is

@@ -52,8 +52,8 @@ def as_receiver(
     | model of Stable-Baselines3 | as in training | PPO, A2C, SAC, TD3, DDPG |
     | policy file, .npz | as in training | see `handover_marl.export_policy` |
 
-    By default the outputs are nine target joint positions (rad, m). The policy is copied: later training of
-    a module does not change the receiver.
+    By default a function or module returns nine target joint positions (rad, m), and other models act as in training.
+    The policy is copied: later training of a module does not change the receiver.
 
     Args:
         policy: See the table.
@@ -89,8 +89,8 @@ def as_giver(
 ) -> PolicyReference:
     """Return a giver that runs a function, a network or a policy file; pass it wherever a giver can be passed.
 
-    By default the outputs are a giver's action (8,), see `handover_marl.givers.make_giver_action`. Arguments and
-    errors are the same as for `as_receiver`.
+    By default a function or module returns a giver's action (8,), see `handover_marl.givers.make_giver_action`.
+    Everything else is as for `as_receiver`, but a giver has no observation mode.
     """
     overrides = {"features": features, "actions": action_scheme, "control_period": control_period}
     return _adapt("giver", policy, overrides, name, trust)

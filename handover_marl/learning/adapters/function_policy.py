@@ -100,7 +100,7 @@ class FunctionPolicy(ArrayPolicy):
 
     @property
     def hold_time(self) -> float:
-        """Time between two decisions (s), as in training."""
+        """Time between two decisions (s): `spec.control_period`."""
         return self.spec.control_period
 
     @property
