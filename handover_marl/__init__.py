@@ -16,61 +16,13 @@ These names are public: those in `__all__` of this package and of `handover_marl
 the pages of the documentation. Other names may change at any time.
 """
 
-from importlib import import_module
-from typing import Any
+import lazy_loader
 
 from handover_marl.registration import register_environments
 from handover_marl.version import __version__
 
-# Public names by module, imported at first use to keep the import fast; `__init__.pyi` has their types.
-_NAMES = {
-    "config": ("CAMERAS", "CameraConfig", "WorldConfig", "make_camera"),
-    "envs.config": ("EnvConfig",),
-    "envs.constructors": ("env", "parallel_env"),
-    "envs.custom_rewards": ("combine_rewards",),
-    "envs.handover_env": ("HandoverEnv",),
-    "envs.rewards": ("RewardWeights",),
-    "envs.transition": ("Transition",),
-    "envs.vector.vector_env": ("vector_env",),
-    "envs.wrappers.encode": ("encode",),
-    "envs.wrappers.control_agent": ("control_agent",),
-    "episode.camera_observations": ("CameraCapture",),
-    "episode.referee": ("EpisodeStatus",),
-    "evaluation.benchmark": ("benchmark", "evaluate_pair"),
-    "evaluation.comparison": ("compare",),
-    "evaluation.config": ("EvaluationConfig", "ExecutionConfig"),
-    "evaluation.crossplay": ("crossplay",),
-    "evaluation.demonstrations.demonstration": ("Demonstrations",),
-    "evaluation.demonstrations.record": ("demonstrate",),
-    "evaluation.rendering": ("render_scene",),
-    "evaluation.reports.report": ("Report", "load_report"),
-    "evaluation.strangers.protocol": ("strangers",),
-    "evaluation.verification": ("verify",),
-    "learning.action_scheme": ("ActionScheme",),
-    "learning.adapters.as_policy": ("as_giver", "as_receiver"),
-    "learning.adapters.export": ("export_policy",),
-    "learning.custom_encodings": ("FeatureExtractor", "declare_size"),
-    "simulation.camera.images": ("SegmentationLabel",),
-    "simulation.camera.noise": ("CameraNoise",),
-    "simulation.camera.randomization": ("CameraRandomization",),
-}
-_MODULES = {name: f"{__name__}.{module}" for module, names in _NAMES.items() for name in names}
-
-__all__ = ["__version__", *_MODULES]
-
-
-def __getattr__(name: str) -> Any:
-    if name in ("givers", "receivers", "testing"):
-        return import_module(f"{__name__}.{name}")
-    if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(_MODULES[name]), name)
-    globals()[name] = value
-    return value
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
-
+# The names in `__init__.pyi` are imported at first use, to keep the import fast.
+__getattr__, __dir__, _names = lazy_loader.attach_stub(__name__, __file__)
+__all__ = ["__version__", *(name for name in _names if name not in ("givers", "receivers", "testing"))]
 
 register_environments()
