@@ -40,7 +40,7 @@ from handover_marl.geometry.panda import CLOSED, OPEN
 from handover_marl.geometry.rotations import quaternions_from_matrices
 from handover_marl.planning.ik_solvers import IkStepper, make_ik_stepper
 from handover_marl.policies.policy import Action, PolicyContext, require_reset
-from handover_marl.receivers.phases import CLOSE_MS, RETREAT_STEP, PhasedReceiver
+from handover_marl.receivers.phased_receiver import CLOSE_MS, RETREAT_STEP, PhasedReceiver
 
 Array = npt.NDArray[np.float64]
 

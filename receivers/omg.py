@@ -28,7 +28,7 @@ from handover_marl.planning.planner import OBJECT_PADDING, Plan, Planner, Planne
 from handover_marl.planning.trajectory_cost import Obstacle
 from handover_marl.policies.policy import Action, PolicyContext, require_reset
 from handover_marl.receivers.grasp_library import load_hand_poses
-from handover_marl.receivers.phases import CLOSE_MS, RETREAT_STEP, PhasedReceiver
+from handover_marl.receivers.phased_receiver import CLOSE_MS, RETREAT_STEP, PhasedReceiver
 
 Array = npt.NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from benchmarl.algorithms import MappoConfig
 from benchmarl.environments.pettingzoo.common import PettingZooClass
 from benchmarl.experiment import Experiment, ExperimentConfig
 from benchmarl.models.mlp import MlpConfig
-from pair import PairArgs, make_env, write_pair
+from both_agents import PairArgs, make_env, write_pair
 from torchrl.envs import EnvBase, PettingZooWrapper
 from torchrl.modules import MultiAgentMLP
 

@@ -14,7 +14,7 @@ compared with partners that they never met by
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from pair import FEATURES, SCHEMES, PairArgs, write_pair
+from both_agents import FEATURES, SCHEMES, PairArgs, write_pair
 from train_ppo import train
 
 from handover_marl.envs.agents import AGENTS

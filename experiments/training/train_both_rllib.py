@@ -10,7 +10,7 @@ from typing import Any
 
 import ray
 import torch
-from pair import PairArgs, make_env, write_pair
+from both_agents import PairArgs, make_env, write_pair
 from ray.rllib.algorithms.ppo import PPOConfig
 from ray.rllib.core.columns import Columns
 from ray.rllib.core.rl_module.apis.value_function_api import ValueFunctionAPI

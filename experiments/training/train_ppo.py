@@ -24,8 +24,8 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import torch
+from both_agents import FEATURES, SCHEMES
 from gymnasium.spaces import flatdim
-from pair import FEATURES, SCHEMES
 from torch import nn
 from torch.distributions import Normal
 

@@ -36,7 +36,7 @@ from handover_marl.planning.robot_clearance import (
     compute_open_gripper_clearances,
     count_points_between_pads,
 )
-from handover_marl.simulation.grasp_validation import GraspValidationConfig
+from handover_marl.simulation.grasp_validation_config import GraspValidationConfig
 
 if TYPE_CHECKING:
     from handover_marl.simulation.mujoco.grasp_validation import GraspValidator

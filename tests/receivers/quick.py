@@ -6,7 +6,7 @@ import pytest
 
 from handover_marl.planning import goal_set, planner
 from handover_marl.receivers.reactive.grasps import GraspPreparationConfig
-from handover_marl.simulation.grasp_validation import GraspValidationConfig
+from handover_marl.simulation.grasp_validation_config import GraspValidationConfig
 
 # The simulated validations are so short that all grasps pass them.
 QUICK_PREPARATION = GraspPreparationConfig(

@@ -9,7 +9,7 @@ import pytest
 
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.geometry.panda import PANDA_CAMERA
-from handover_marl.simulation.grasp_validation import GraspValidationConfig
+from handover_marl.simulation.grasp_validation_config import GraspValidationConfig
 from handover_marl.simulation.mujoco.grasp_validation import GraspValidator
 
 DATA, CAMERA_DATA = SyntheticDataset(), SyntheticDataset(PANDA_CAMERA)

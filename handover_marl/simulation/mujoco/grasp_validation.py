@@ -22,7 +22,7 @@ from handover_marl.geometry.model_files.urdf import read_urdf_links
 from handover_marl.geometry.panda import FINGER_LINKS, GRIPPER_FROM_HAND, HAND_LINK, OPEN, PAD_DISTANCE
 from handover_marl.geometry.poses import transform_points
 from handover_marl.geometry.rotations import compute_rotation_angles, quaternions_from_matrices
-from handover_marl.simulation.grasp_validation import GraspValidationConfig
+from handover_marl.simulation.grasp_validation_config import GraspValidationConfig
 from handover_marl.simulation.mujoco.contacts import ContactSensors, add_contact_sensors
 from handover_marl.simulation.mujoco.engine import XYZW, wxyz_from_xyzw
 from handover_marl.simulation.mujoco.models.collision_shapes import load_link_parts, set_inertia
