@@ -5,7 +5,7 @@ import pytest
 import scipy.stats
 
 from handover_marl.evaluation.reports.tables import compute_wilson_interval, estimate_paired_difference
-from handover_marl.evaluation.strangers.report import estimate_mean_score, estimate_rate
+from handover_marl.evaluation.strangers.report import estimate_mean_score, estimate_partner_rate
 
 
 @pytest.mark.slow
@@ -22,7 +22,7 @@ def test_intervals_cover_whatever_varies(varying: str, kind: str) -> None:
         effect = {"families": np.repeat(rng.normal(size=6), 3)[:, None], "scenes": rng.normal(size=(1, 36))}[varying]
         if kind == "rate":
             chances = 1.0 / (1.0 + np.exp(-3.0 - effect))
-            found = estimate_rate(np.mean, (rng.random((1, 18, 36)) < chances).astype(float), families)
+            found = estimate_partner_rate(np.mean, (rng.random((1, 18, 36)) < chances).astype(float), families)
         else:
             found = estimate_mean_score(0.5 + 0.1 * effect + 0.05 * rng.normal(size=(1, 18, 36)), families)
         assert found.interval_95 is not None
@@ -33,18 +33,18 @@ def test_intervals_cover_whatever_varies(varying: str, kind: str) -> None:
 
 def test_the_worst_partner_is_that_of_the_mean_over_policies_and_scenes() -> None:
     scores = np.array([[[1.0, 0.2], [0.0, 0.2]], [[0.6, 1.0], [0.6, 0.8]]])
-    assert estimate_rate(np.min, scores, None).mean == pytest.approx(0.4)
-    assert estimate_rate(np.max, scores, None).mean == pytest.approx(0.7)
+    assert estimate_partner_rate(np.min, scores, None).mean == pytest.approx(0.4)
+    assert estimate_partner_rate(np.max, scores, None).mean == pytest.approx(0.7)
 
 
 @pytest.mark.parametrize("count", [0, 12])
 def test_rates_with_a_single_partner_have_wilson_intervals_of_its_episodes(count: int) -> None:
     flags = np.full((1, 18, 12), count / 12)
-    found = estimate_rate(np.min, flags, None)
+    found = estimate_partner_rate(np.min, flags, None)
     assert found.interval_95 == pytest.approx(compute_wilson_interval(count, 12), abs=1e-12)
-    found = estimate_rate(np.mean, flags, ["a"] * 9 + ["b"] * 9)
+    found = estimate_partner_rate(np.mean, flags, ["a"] * 9 + ["b"] * 9)
     assert found.interval_95 == pytest.approx(compute_wilson_interval(count * 18, 216), abs=1e-12)
-    found = estimate_rate(np.mean, np.ones((1, 1, 13)), None)
+    found = estimate_partner_rate(np.mean, np.ones((1, 1, 13)), None)
     assert found.interval_95 is not None
     assert found.interval_95[1] == 1.0, "rounding does not lead beyond 1"
 
@@ -111,7 +111,7 @@ def test_rates_have_wilson_intervals_with_the_quantile_of_student(
     weight = scipy.stats.t.ppf(0.975, 7) ** 2 / count
     center, half = rate + weight / 2.0, np.sqrt(weight * rate * (1.0 - rate) + weight**2 / 4.0)
     wanted = (center - half) / (1.0 + weight), (center + half) / (1.0 + weight)
-    found = estimate_rate(np.mean, np.array([flags], dtype=float), None)
+    found = estimate_partner_rate(np.mean, np.array([flags], dtype=float), None)
     assert found.interval_95 == pytest.approx(wanted, abs=1e-12)
 
 
