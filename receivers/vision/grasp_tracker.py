@@ -205,8 +205,6 @@ class GraspTracker:
     Args:
         predict: Function that predicts grasps from a point cloud.
         seed: Seed of the random selection of points for the predictions.
-        resets_cost: Whether a newly selected grasp starts with its own predicted cost; if not, with the cost of the
-            grasp that was selected before it.
 
     Attributes:
         position: Filter that estimates the object's center in the world.
@@ -216,13 +214,12 @@ class GraspTracker:
         surface: Spheres at the visible part of the object, relative to its center.
         human_hand: Spheres at remembered points of the person's hand in the world, or None without such points.
         selected: (7,) selected grasp relative to the object's center, which is tracked; None without a selection.
-        selected_cost: Cost of the selected grasp (s), an exponential moving average over the predictions.
         use_all: Whether all predicted grasps and tilted copies of them are candidates, not only the best ones.
         lost_timeout: Time without a view of the object after which the tracker is reset at the next view (s).
     """
 
-    def __init__(self, predict: GraspPredictor, seed: int | None, resets_cost: bool = False) -> None:
-        self._predict, self._resets_cost = predict, resets_cost
+    def __init__(self, predict: GraspPredictor, seed: int | None) -> None:
+        self._predict = predict
         self._rng = np.random.default_rng(0 if seed is None else seed)
         self.grasps, self.costs = np.zeros((0, 7)), np.zeros(0)
         self.surface = Spheres(np.zeros((1, 3)), np.zeros(1))
@@ -231,9 +228,7 @@ class GraspTracker:
         self.lost_timeout = LOST_TIMEOUT
         self._seen_at = -np.inf
         self.selected: Array | None = None
-        self.selected_cost = 0.0
-        # Costs of the candidates without those of failed grasps.
-        self._predicted_costs = self.costs
+        self._selected_cost = 0.0
         self._failed: list[tuple[Array, float]] = []
         self._restart()
 
@@ -259,13 +254,6 @@ class GraspTracker:
     def compute_unseen_time(self, time: float) -> float:
         """Return the time since the object was last visible, at `time` (s); infinite if it never was."""
         return time - self._seen_at
-
-    def select(self, number: int | None) -> None:
-        """Track the grasp `grasps[number]` from now on; None for no grasp."""
-        is_new = self.selected is None or number != 0  # the first candidate is the tracked grasp, if there is one
-        self.selected = None if number is None else self.grasps[number]
-        if self._resets_cost and is_new and number is not None:
-            self.selected_cost = float(self._predicted_costs[number])
 
     def add_failed(self, grasp: Array, until: float) -> None:
         """Increase the cost of a grasp (7,) relative to the object's center, and of its half turn, until a time (s)."""
@@ -296,7 +284,7 @@ class GraspTracker:
         if self.selected is not None and gains is not _FINAL_GAINS:
             points = transform_points(gripper_pose, checked) - self.object_pose[:3]
             shifted, extra = shift_to_avoid_collisions(self.selected[None], points)
-            self.selected, self.selected_cost = shifted[0], self.selected_cost + _UNSEEN_COST * float(extra[0])
+            self.selected, self._selected_cost = shifted[0], self._selected_cost + _UNSEEN_COST * float(extra[0])
         self._set_candidates(grasps, costs, time, gains)
 
     def _compute_candidates(
@@ -382,8 +370,7 @@ class GraspTracker:
             selected = self._correct_selected(self.selected, candidates, all_costs, gains.grasp)
             self.selected = selected
             candidates = np.concatenate([selected[None], candidates])
-            all_costs = np.append(self.selected_cost, all_costs)
-        self._predicted_costs = all_costs.copy()
+            all_costs = np.append(self._selected_cost, all_costs)
         self._failed = [(pose, until) for pose, until in self._failed if until > time]
         for pose, _ in self._failed:
             distances = compute_grasp_distances(pose, candidates, _ROTATION_WEIGHT, PAD_DISTANCE)
@@ -395,7 +382,7 @@ class GraspTracker:
         distances = compute_grasp_distances(selected, grasps, _ROTATION_WEIGHT, PAD_DISTANCE)
         same = np.flatnonzero(distances < _SAME_DISTANCE)
         if not len(same):
-            self.selected_cost += _UNSEEN_COST
+            self._selected_cost += _UNSEEN_COST
             return selected
         weights = np.exp(-costs[same] / COST_SCALE - (2.0 * distances[same] / _SAME_DISTANCE) ** 2)
         weights /= weights.sum()
@@ -404,7 +391,7 @@ class GraspTracker:
         mean[3:] *= np.sign(mean[3:] @ selected[3:])
         corrected: Array = (1.0 - gain) * selected + gain * mean
         corrected[3:] /= np.linalg.norm(corrected[3:])
-        self.selected_cost = (1.0 - gain) * self.selected_cost + gain * float(weights @ costs[same])
+        self._selected_cost = (1.0 - gain) * self._selected_cost + gain * float(weights @ costs[same])
         return corrected
 
 

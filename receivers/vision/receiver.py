@@ -5,7 +5,6 @@ as in `reactive`. The receiver uses neither true poses nor object models. It inf
 whether the person has released the object.
 """
 
-import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,10 +16,9 @@ from handover_marl.errors import OptionError
 from handover_marl.execution.options import require_modules
 from handover_marl.policies.policy import Action, PolicyContext, require_reset
 from handover_marl.receivers.reactive.config import ReactiveConfig, apply_risk
-from handover_marl.receivers.reactive.controller import ControllerReceiver, ReactivePhase
-from handover_marl.receivers.reactive.motion import FAILED_DURATION
+from handover_marl.receivers.reactive.controller import ControllerReceiver
 from handover_marl.receivers.vision.grasp_predictor import load_grasp_predictor
-from handover_marl.receivers.vision.grasp_tracker import COST_SCALE, GraspTracker
+from handover_marl.receivers.vision.grasp_tracker import GraspTracker
 from handover_marl.receivers.vision.mask_predictor import UNSEGMENTED, MaskPredictor, load_mask_predictor
 from handover_marl.receivers.vision.scene_estimate import PointCloudSceneEstimate
 from handover_marl.receivers.vision.view_planner import ViewPlanner
@@ -28,7 +26,6 @@ from handover_marl.receivers.vision.view_planner import ViewPlanner
 #: Values of `masks`: segmentation masks of the simulator, and of the shipped network.
 PERFECT, PREDICTED = "perfect", "predicted"
 _NEVER = 1e6  # s, longer than any episode
-_MAX_GIVEN_UP = 3  # grasps with a predicted quality below `min_quality`, in an episode
 
 
 class VisionReceiver(ControllerReceiver):
@@ -42,8 +39,6 @@ class VisionReceiver(ControllerReceiver):
             other data.
         masks: Segmentation of object, hand and other objects: "perfect" by the simulator, "predicted" by the shipped
             network, or the weight file of another segmentation network.
-        min_quality: Predicted quality (0 to below 1) below which a grasp is given up before the straight motion to it,
-            up to three times in an episode. If it is above 0, grasps are selected by their own predicted costs.
     """
 
     name = "vision"
@@ -58,14 +53,9 @@ class VisionReceiver(ControllerReceiver):
         risk: float = 0.5,
         weights: str | None = None,
         masks: str = PERFECT,
-        min_quality: float = 0.0,
     ) -> None:
         super().__init__(context, wait, apply_risk(make_vision_reactive_config(), risk))
         require_modules("receiver 'vision'", "train", "torch")
-        if not 0.0 <= min_quality < 1.0:
-            raise OptionError(f"min_quality must be a number from 0 to below 1, got {min_quality!r}")
-        self._max_cost = -COST_SCALE * math.log(min_quality) if min_quality else math.inf
-        self._n_given_up = 0
         if weights == "":
             raise OptionError(
                 "weights of receiver 'vision' must name a file, got ''; leave it out for the shipped ones"
@@ -94,11 +84,10 @@ class VisionReceiver(ControllerReceiver):
 
     def reset(self, seed: int | None = None) -> None:
         """Start an episode; `seed` seeds the random selection of points for the grasp network."""
-        tracker = GraspTracker(self._predictor, seed, resets_cost=self._max_cost < math.inf)
+        tracker = GraspTracker(self._predictor, seed)
         view_planner = ViewPlanner(self.arm, self.servo.max_speeds)
         self._scene = PointCloudSceneEstimate(self.arm, self.config, tracker, view_planner, self._predict_masks)
         self.start_episode(self._scene)
-        self._n_given_up = 0
 
     def act(self, observation: Observation) -> Action:
         """Return target joint positions (9,): arm (rad), fingers (m)."""
@@ -112,10 +101,6 @@ class VisionReceiver(ControllerReceiver):
             scene.update(observation)
             first = None if tracker.selected is None else 0
             self.selector.set_candidates(tracker.grasps, tracker.costs, tracker.surface, first)
-            is_final = controller.phase is ReactivePhase.FINAL_APPROACH and tracker.selected is not None
-            if is_final and tracker.selected_cost > self._max_cost and self._n_given_up < _MAX_GIVEN_UP:
-                self._n_given_up += 1
-                self.selector.give_up(scene.time + FAILED_DURATION)
         return controller.step()
 
     def _track_selection(self, tracker: GraspTracker, is_settled: bool) -> None:
@@ -123,7 +108,7 @@ class VisionReceiver(ControllerReceiver):
         selector = self.selector
         for number, until in selector.failed.items():
             tracker.add_failed(selector.grasps[number], until)
-        tracker.select(None if selector.chosen is None else selector.chosen.number)
+        tracker.selected = None if selector.chosen is None else selector.grasps[selector.chosen.number]
         has_no_grasp = bool(selector.failure_reason) or not len(selector.grasps)
         tracker.use_all = has_no_grasp and is_settled
 

@@ -65,26 +65,11 @@ def test_selected_grasp_is_first_and_corrected(monkeypatch: pytest.MonkeyPatch) 
     predictor = FixedPredictor()
     tracker = GraspTracker(predictor, 0)
     tracker.update(0.0, LINK, ITEM, HAND)
-    chosen = tracker.grasps[0]
-    tracker.select(0)
+    chosen = tracker.selected = tracker.grasps[0]
     predictor.grasps = GRASPS + np.array([0.01, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     tracker.update(0.05, LINK, ITEM, HAND)
     np.testing.assert_allclose(tracker.grasps[0][:3], chosen[:3] + np.array([0.005, 0.0, 0.0]), atol=1e-3)
     assert len(tracker.grasps) == 5
-
-
-@pytest.mark.parametrize("resets_cost", [True, False])
-def test_cost_of_a_newly_selected_grasp(resets_cost: bool) -> None:
-    tracker = GraspTracker(FixedPredictor(), 0, resets_cost)
-    tracker.update(0.0, LINK, ITEM, HAND)
-    tracker.select(0)
-    assert tracker.selected_cost == pytest.approx(-COST_SCALE * np.log(0.9) if resets_cost else 0.0)
-    tracker.add_failed(tracker.grasps[1], 1.0)
-    tracker.update(0.1, LINK, ITEM, HAND)
-    before = tracker.selected_cost
-    assert tracker.costs[2] > 10.0
-    tracker.select(2)
-    assert tracker.selected_cost == pytest.approx(-COST_SCALE * np.log(0.5) if resets_cost else before)
 
 
 def test_the_surface_is_registered_nearby_until_the_track_strays(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -95,8 +80,7 @@ def test_the_surface_is_registered_nearby_until_the_track_strays(monkeypatch: py
         tracker.update(0.05 * number, LINK, ITEM + np.array([0.005, 0.0, 0.003]) * max(0, number - 1), HAND)
     moved = transform_points(LINK, np.array([0.03, 0.0, 0.018])) - LINK[:3]
     np.testing.assert_allclose(tracker.object_pose[:3], CENTER + moved, atol=3e-3)
-    tracker.select(0)
-    predictor.center = CENTER + moved + 0.08
+    tracker.selected, predictor.center = tracker.grasps[0], CENTER + moved + 0.08
     tracker.update(0.4, LINK, ITEM, HAND)
     assert tracker.selected is None
     np.testing.assert_allclose(tracker.object_pose[:3], predictor.center, atol=1e-9)

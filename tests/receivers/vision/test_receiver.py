@@ -13,10 +13,7 @@ from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError
 from handover_marl.learning.networks.grasp_network import GraspNetwork
 from handover_marl.learning.networks.weights import write_network_weights
-from handover_marl.policies.policy import make_policy_context
 from handover_marl.policies.reference import parse_policy
-from handover_marl.receivers.reactive.selector import GraspSelector
-from handover_marl.receivers.vision.receiver import VisionReceiver
 
 pytest.importorskip("embreex")
 DATA = open_dataset("synthetic")
@@ -33,18 +30,6 @@ def test_shipped_weights_succeed() -> None:
             run_episode(episode, receiver, seed=0)
             ends.append(episode.status)
     assert EpisodeStatus.SUCCESS in ends
-
-
-@pytest.mark.slow
-def test_poor_grasps_are_given_up_three_times(monkeypatch: pytest.MonkeyPatch) -> None:
-    times: list[float] = []
-    monkeypatch.setattr(GraspSelector, "give_up", lambda _, until: times.append(until))
-    receiver, episode = VisionReceiver(make_policy_context(DATA), min_quality=0.9999), Episode("fast")
-    episode.reset(DATA.load_scene(9))
-    run_episode(episode, receiver, seed=0)
-    assert len(times) == 3
-    with pytest.raises(OptionError, match="min_quality must be"):
-        VisionReceiver(make_policy_context(DATA), min_quality=1.0)
 
 
 def test_default_weights_depend_on_the_setup(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
