@@ -19,10 +19,8 @@ the pages of the documentation. Other names may change at any time.
 import lazy_loader
 
 from handover_marl.registration import register_environments
-from handover_marl.version import __version__
 
 # The names in `__init__.pyi` are imported at first use, to keep the import fast.
-__getattr__, __dir__, _names = lazy_loader.attach_stub(__name__, __file__)
-__all__ = ["__version__", *(name for name in _names if name not in ("givers", "receivers", "testing"))]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 register_environments()

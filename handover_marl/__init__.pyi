@@ -41,5 +41,4 @@ from .learning.custom_encodings import declare_size as declare_size
 from .simulation.camera.images import SegmentationLabel as SegmentationLabel
 from .simulation.camera.noise import CameraNoise as CameraNoise
 from .simulation.camera.randomization import CameraRandomization as CameraRandomization
-
-__version__: str
+from .version import __version__ as __version__

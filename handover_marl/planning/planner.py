@@ -223,7 +223,7 @@ class Chomp:
         )
 
     def _project_to_limits(self, trajectory: Array) -> Array:
-        """Return the trajectory (w, 7), moved smoothly to within a tolerance of the joint limits, with its approach."""
+        """Return a trajectory (w, 7), waypoints of path and approach, moved smoothly to within the joint limits."""
         for _ in range(_MAX_LIMIT_PROJECTIONS):
             violation = self.compute_limit_violation(trajectory)
             if np.linalg.norm(violation) <= _LIMIT_TOLERANCE:

@@ -1,11 +1,9 @@
 """Motion of the object and the hand of a generated handover: keyframes at 25 Hz, and their interpolation to 1 kHz.
 
-The phases are reach, grasp, lift, handover and hold. Hand and object follow minimum-jerk profiles
-(Flash and Hogan, 1985) along curved paths. The recording starts during the first half of the reach,
-as in DexYCB, where the hand enters the cameras' view. All poses are in the table's frame (m, rad).
-
-Keyframes are interpolated as in HandoverSim: positions by cubic splines, rotations by slerp. Angles are intrinsic XYZ
-Euler angles (rad), unwrapped for objects and the hand's base.
+The phases are reach, grasp, lift, handover and hold. Hand and object follow minimum-jerk profiles (Flash and Hogan,
+1985) along curved paths. The recording starts during the first half of the reach, as in DexYCB, where the hand enters
+the cameras' view. All poses are in the table's frame (m, rad). Keyframes are interpolated as in HandoverSim: positions
+by cubic splines, rotations by slerp. Angles are intrinsic XYZ Euler angles, unwrapped for objects and the hand's base.
 """
 
 from collections.abc import Sequence
@@ -132,10 +130,9 @@ def minimum_jerk(time: npt.ArrayLike) -> Array:
 
 
 def _draw_timing(random: RandomStream, speed: float, entry_distance: float, lift_time: float) -> HandoverTiming:
-    """Draw the timing of a handover; the number of keyframes is distributed as in DexYCB.
+    """Draw a timing with a number of keyframes as in DexYCB; with few keyframes, reach and lift are shorter.
 
-    `speed` is the wrist's peak speed (m/s), `entry_distance` the desired length of the reach (m), `lift_time` the
-    desired time from lift to arrival (s). Reach and lift are shortened if there are too few keyframes.
+    `speed` is the wrist's peak speed (m/s), `entry_distance` the length of the reach (m), `lift_time` is in s.
     """
     n_keyframes = list(FRAME_COUNTS)[random.weighted_index(list(FRAME_COUNTS.values()))]
     onset = round(random.draw_quantile("hand_onset"))
