@@ -32,12 +32,13 @@ from .evaluation.reports.report import Report as Report
 from .evaluation.reports.report import load_report as load_report
 from .evaluation.strangers.protocol import strangers as strangers
 from .evaluation.verification import verify as verify
-from .learning.action_scheme import ActionScheme as ActionScheme
 from .learning.adapters.as_policy import as_giver as as_giver
 from .learning.adapters.as_policy import as_receiver as as_receiver
 from .learning.adapters.export import export_policy as export_policy
-from .learning.custom_encodings import FeatureExtractor as FeatureExtractor
-from .learning.custom_encodings import declare_size as declare_size
+from .learning.encodings.action_scheme import ActionScheme as ActionScheme
+from .learning.encodings.custom import FeatureExtractor as FeatureExtractor
+from .learning.encodings.custom import declare_size as declare_size
+from .learning.encodings.registry import make_action_scheme as make_action_scheme
 from .simulation.camera.images import SegmentationLabel as SegmentationLabel
 from .simulation.camera.noise import CameraNoise as CameraNoise
 from .simulation.camera.randomization import CameraRandomization as CameraRandomization

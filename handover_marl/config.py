@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from handover_marl.errors import OptionError, check_name
+from handover_marl.execution.files import shorten_text
 from handover_marl.geometry.panda import HAND_LINK, MOUNT_LINKS
 
 #: Largest image side (pixels); larger ones crash the software renderer.
@@ -121,11 +122,13 @@ def _check_nested_numbers(name: str, value: Any) -> None:
 def _check_number(name: str, value: Any, is_integer: bool, limits: tuple[float, float]) -> None:
     low, high = limits
     is_number = isinstance(value, Integral if is_integer else Real) and not isinstance(value, bool)
-    if not is_number or not math.isfinite(value) or not low <= value <= high:
+    # `math.isfinite` fails for integers beyond the range of floats.
+    if not is_number or not -math.inf < value < math.inf or not low <= value <= high:
         text = "an integer" if is_integer else "a finite number"
         if limits != (-math.inf, math.inf):
-            text += f" from {low:g} to {high:g}" if math.isfinite(high) else f" of at least {low:g}"
-        raise OptionError(f"{name} must be {text}, got {value!r}")
+            text += f" from {low:.15g} to {high:.15g}" if math.isfinite(high) else f" of at least {low:.15g}"
+        # The text of a huge integer raises an error.
+        raise OptionError(f"{name} must be {text}, got {shorten_text(value) if is_number else repr(value)}")
 
 
 @dataclass(frozen=True)

@@ -21,13 +21,13 @@ from handover_marl.geometry.arm import ArmKinematics, IkSolver
 from handover_marl.geometry.distance_field import load_object_sdf
 from handover_marl.geometry.panda import CLOSED, HALF_TURN, OPEN, WAITING_JOINTS
 from handover_marl.geometry.poses import compose, invert_pose, poses_from_rotations, transform_points
+from handover_marl.grasps.known_grasps import load_hand_poses
 from handover_marl.planning.goal_set import is_usable_grasp
 from handover_marl.planning.hand_tracker import Capsules, hand_capsules_from_observation
 from handover_marl.planning.ik_solvers import ThreadIkSolver
 from handover_marl.planning.planner import OBJECT_PADDING, Plan, Planner, PlannerConfig
 from handover_marl.planning.trajectory_cost import Obstacle
 from handover_marl.policies.policy import Action, PolicyContext, require_reset
-from handover_marl.receivers.grasp_library import load_hand_poses
 from handover_marl.receivers.phased_receiver import CLOSE_MS, RETREAT_STEP, PhasedReceiver
 
 Array = npt.NDArray[np.float64]

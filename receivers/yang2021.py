@@ -29,6 +29,7 @@ from handover_marl.geometry.arrays import (
 from handover_marl.geometry.poses import compose, compute_squared_pose_distances
 from handover_marl.geometry.rotations import compute_rotation_angles
 from handover_marl.geometry.vectors import compute_dot_products, compute_lengths
+from handover_marl.grasps.known_grasps import GraspTable, load_gripper_poses
 from handover_marl.planning.ik_solvers import ThreadIkSolver
 from handover_marl.policies.batch import Actions, ArrayPolicy
 from handover_marl.policies.policy import (
@@ -38,7 +39,6 @@ from handover_marl.policies.policy import (
     override_options,
     require_reset,
 )
-from handover_marl.receivers.grasp_library import GraspTable, load_gripper_poses
 
 Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]

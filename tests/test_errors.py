@@ -89,7 +89,7 @@ def look_up(key: str) -> None:
     ("function", "argument", "error", "message"),
     [
         (open_dataset, "generated:n=4", SceneError, "random test has no scenes; choose another split"),
-        (open_dataset, f"generated:n={10**400}", OptionError, "n must be from 1 to"),
+        (open_dataset, f"generated:n={10**400}", OptionError, "n of GeneratedConfig must be an integer from 1 to"),
         (open_dataset, f"own:{'a' * 5000}", OptionError, "more than 255 bytes"),
         (lambda period: handover_marl.parallel_env(control_period=period), 1 / 30, OptionError, "take 0.033"),
         (lambda period: handover_marl.parallel_env(control_period=period), 100, OptionError, "for 100 ms pass 0.1"),

@@ -48,8 +48,8 @@ from handover_marl.execution.options import PoolConfig
 from handover_marl.execution.pool import map_with_progress
 from handover_marl.geometry.panda import ROBOTS
 from handover_marl.geometry.ycb import CLASS_NAMES
-from handover_marl.receivers.grasp_library import load_hand_poses
-from handover_marl.receivers.reactive.grasps import (
+from handover_marl.grasps.known_grasps import load_hand_poses
+from handover_marl.grasps.validation import (
     GraspPreparationConfig,
     get_validation_record,
     get_validation_record_path,

@@ -13,8 +13,8 @@ import numpy as np
 import tyro
 
 import handover_marl
+from handover_marl import make_action_scheme
 from handover_marl.cli.options import SceneNumbers
-from handover_marl.learning.encodings import make_scheme
 from handover_marl.learning.training.scene_arguments import SetupArgs
 from handover_marl.receivers import PolicyContext, Receiver
 from handover_marl.testing import check_receiver
@@ -52,7 +52,7 @@ class ServoReceiver(Receiver):
         super().__init__(context)
         self._tolerance, self._max_distance = tolerance, max_distance
         # The action scheme solves the inverse kinematics and waits 2 s at the start of an episode.
-        self._scheme = make_scheme("receiver", "grasp_servo", context)
+        self._scheme = make_action_scheme("receiver", "grasp_servo", context)
 
     @property
     def wait(self) -> float:

@@ -5,7 +5,7 @@
 
 A model gets the image of the wrist camera, the joints of the robot and the task in words. It returns a motion of the
 Panda's hand link in the link's own frame, and whether to close the gripper; see
-`handover_marl.learning.schemes.CartesianDeltaScheme`.
+`handover_marl.learning.encodings.schemes.CartesianDeltaScheme`.
 """
 
 from typing import Any
@@ -15,10 +15,9 @@ from vla_eval.benchmarks.base import StepBenchmark, StepResult
 from vla_eval.specs import GRIPPER_CLOSE_POS, IMAGE_RGB, LANGUAGE, POSITION_DELTA, ROTATION_AA, STATE_JOINT, DimSpec
 
 import handover_marl
-from handover_marl import EpisodeStatus
+from handover_marl import EpisodeStatus, make_action_scheme
 from handover_marl.config import TIME_STEP, ProtocolConfig
 from handover_marl.evaluation.demonstrations.convert import describe_task
-from handover_marl.learning.encodings import make_scheme
 
 
 class HandoverBenchmark(StepBenchmark):
@@ -42,7 +41,7 @@ class HandoverBenchmark(StepBenchmark):
             setup=setup, split=split, control_period=control_period, physics=physics, obs_mode="rgb", **config
         )
         self._env = handover_marl.control_agent(self._handover, "receiver", "replay", api="gymnasium")
-        self._scheme = make_scheme("receiver", "cartesian_delta", self._handover.policy_context)
+        self._scheme = make_action_scheme("receiver", "cartesian_delta", self._handover.policy_context)
         self._max_steps = round(ProtocolConfig().horizon_steps * TIME_STEP / control_period)
         self._observation: dict[str, Any] = {}
 

@@ -35,7 +35,7 @@ from handover_marl.envs.custom_rewards import set_discount
 from handover_marl.errors import OptionError
 from handover_marl.geometry.arrays import make_tensor_factory
 from handover_marl.learning.adapters.modules import dense_network_from_layers
-from handover_marl.learning.custom_encodings import is_reference
+from handover_marl.learning.encodings.custom import is_reference
 from handover_marl.learning.policy_files import DenseNetwork, PolicySpec, check_policy_path, read_policy, write_policy
 from handover_marl.learning.training.run_folder import describe_origin, make_mlp, spawn_seeds, validate
 from handover_marl.learning.training.scene_arguments import RlArgs, run_script

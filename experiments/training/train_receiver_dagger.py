@@ -26,9 +26,9 @@ import handover_marl
 from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP
 from handover_marl.episode.observations import Observation
 from handover_marl.errors import OptionError
-from handover_marl.learning.action_scheme import InvertibleScheme
-from handover_marl.learning.encodings import make_array_features, make_array_scheme
-from handover_marl.learning.grasp_selector import LowestCostGraspSelector
+from handover_marl.grasps.selector import LowestCostGraspSelector
+from handover_marl.learning.encodings.action_scheme import InvertibleScheme
+from handover_marl.learning.encodings.registry import make_array_features, make_array_scheme
 from handover_marl.learning.imitation.run import generate_samples, join_samples
 from handover_marl.learning.policy_files import DenseNetwork, PolicySpec, read_policy, write_policy
 from handover_marl.learning.training.run_folder import (

@@ -97,7 +97,7 @@ def choose_scenes(split_ids: tuple[int, ...], scenes: Iterable[int] | None, spli
 
 def select_scenes_evenly(scene_ids: Sequence[int], n: int) -> tuple[int, ...]:
     """Return at most n of `scene_ids`, at evenly spaced positions; raise `OptionError` if n < 1."""
-    if isinstance(n, bool) or not isinstance(n, int) or n < 1:
+    if isinstance(n, bool) or not isinstance(n, (int, np.integer)) or n < 1:
         raise OptionError(f"number of scenes must be a whole number of at least 1, got {shorten_text(n)}")
     chosen = np.unique(np.linspace(0, len(scene_ids) - 1, min(n, len(scene_ids))).round().astype(int))
     return tuple(scene_ids[number] for number in chosen.tolist())

@@ -22,18 +22,18 @@ from handover_marl.geometry.panda import HALF_TURN
 from handover_marl.geometry.poses import compose, inverse_transform_points, invert_pose
 from handover_marl.geometry.rotations import multiply_quaternions, quaternions_from_rotation_vectors
 from handover_marl.givers.array_giver import ArrayGiver
-from handover_marl.learning.array_features import compute_handover_frames, rotate_to_world
-from handover_marl.learning.grasp_selector import (
+from handover_marl.grasps.known_grasps import load_hand_poses
+from handover_marl.grasps.selector import (
     MAX_REACH_DISTANCE,
     GraspCosts,
     LowestCostGraspSelector,
     load_validated_grasps,
 )
+from handover_marl.learning.encodings.features import compute_handover_frames, rotate_to_world
+from handover_marl.learning.encodings.schemes import HandoverPoseScheme
 from handover_marl.learning.policy_files import read_policy
-from handover_marl.learning.schemes import HandoverPoseScheme
 from handover_marl.policies.batch import Actions
 from handover_marl.policies.policy import PolicyContext
-from handover_marl.receivers.grasp_library import load_hand_poses
 
 Array = npt.NDArray[np.float64]
 Vectors = npt.NDArray[np.float32]

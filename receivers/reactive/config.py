@@ -6,10 +6,11 @@ from typing import ClassVar
 
 from handover_marl.config import CheckedConfig, bounded
 from handover_marl.errors import OptionError
+from handover_marl.grasps.graspable_object import PARTIAL_HOLD_COST
+from handover_marl.grasps.validation import GraspPreparationConfig
 from handover_marl.planning.arm_control import ServoConfig
 from handover_marl.planning.collision_avoidance import SeparationConfig
 from handover_marl.planning.handover_prediction import HandoverPosePredictorConfig
-from handover_marl.receivers.reactive.grasps import GraspPreparationConfig
 
 #: Limits of control periods (s).
 PERIODS = (0.001, 60.0)
@@ -39,7 +40,7 @@ class GraspSelectorConfig(CheckedConfig):
     hard_min_clearance: float = 0.002
     offset_delay: float = 0.5
     offset_cost: float = 1.5
-    partial_hold_cost: float = 2.0
+    partial_hold_cost: float = PARTIAL_HOLD_COST
 
 
 @dataclass(frozen=True)
@@ -93,9 +94,6 @@ class ReactiveConfig(CheckedConfig):
         period: Control period (s).
         near_period: Control period of the approach while object or hand moves near the gripper (s).
         min_lift: Distance of an object from its first position above which the object counts as lifted (m).
-        n_surface_spheres: Number of spheres that approximate an object.
-        surface_radius: Radius of the spheres that approximate an object (m).
-        n_surface_points: Number of random points on an object's surface, used for finger contacts besides its vertices.
         selection: Configuration of grasp selection.
         preparation: Configuration of tilted copies and of the validation of known grasps.
         approach: Configuration of the approach and of closing the fingers.
@@ -110,9 +108,6 @@ class ReactiveConfig(CheckedConfig):
     period: float = bounded(0.05, *PERIODS)
     near_period: float = bounded(0.02, *PERIODS)
     min_lift: float = 0.04
-    n_surface_spheres: int = bounded(200, 1)
-    surface_radius: float = 0.01
-    n_surface_points: int = 5000
     selection: GraspSelectorConfig = GraspSelectorConfig()
     preparation: GraspPreparationConfig = field(default_factory=GraspPreparationConfig)
     approach: ApproachConfig = ApproachConfig()

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 from handover_marl.config import check_config
 from handover_marl.episode.observations import Observation
+from handover_marl.grasps.graspable_object import load_graspable_object, load_obstacle
 from handover_marl.policies.policy import Action, PolicyContext, override_options, require_reset
 from handover_marl.receivers.reactive.config import ReactiveConfig, apply_risk
 from handover_marl.receivers.reactive.controller import ControllerReceiver
-from handover_marl.receivers.reactive.grasp_contact import load_graspable_object, load_obstacle
 from handover_marl.receivers.reactive.scene_estimate import PoseSceneEstimate
 
 
@@ -47,7 +47,7 @@ class ReactiveReceiver(ControllerReceiver):
     def prepare(self, object_names: Sequence[str]) -> None:
         """Validate the grasps of the first object, which is handed over, and load the other objects."""
         for name in object_names[:1]:
-            load_graspable_object(self.context, name, self.config)
+            load_graspable_object(self.context, name, self.config.preparation)
         for name in object_names[1:]:
             load_obstacle(self.context, name)
 
@@ -65,5 +65,5 @@ class ReactiveReceiver(ControllerReceiver):
         scene.update(observation)
         if scene.object_name != self._object_name:
             self._object_name = scene.object_name
-            self.selector.set_object(load_graspable_object(self.context, self._object_name, self.config))
+            self.selector.set_object(load_graspable_object(self.context, self._object_name, self.config.preparation))
         return controller.step()

@@ -10,6 +10,8 @@ from handover_marl.config import TABLE_HEIGHT
 from handover_marl.geometry.arrays import Indices
 from handover_marl.geometry.panda import HALF_TURN, WAITING_JOINTS
 from handover_marl.geometry.poses import compose, invert_pose
+from handover_marl.grasps.graspable_object import GraspableObject, compute_hold_costs, find_offset_grasps
+from handover_marl.grasps.validation import ValidatedGrasps
 from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.planning.collision_avoidance import PathObstacles, find_via_point, is_path_clear
 from handover_marl.planning.robot_clearance import (
@@ -20,8 +22,6 @@ from handover_marl.planning.robot_clearance import (
     compute_lowest_heights,
 )
 from handover_marl.receivers.reactive.config import ReactiveConfig
-from handover_marl.receivers.reactive.grasp_contact import GraspableObject, compute_hold_costs, find_offset_grasps
-from handover_marl.receivers.reactive.grasps import ValidatedGrasps
 from handover_marl.receivers.reactive.scene_estimate import SceneEstimate
 
 Array = npt.NDArray[np.float64]
@@ -199,7 +199,7 @@ class GraspSelector:
 
     def _add(self, grasps: ValidatedGrasps, pad_margins: Array, cost: float) -> None:
         """Add grasps with pad margins (n,) in m, and their half turns, to the candidates, at an extra `cost` (s)."""
-        costs = cost + compute_hold_costs(grasps, pad_margins, self._config)
+        costs = cost + compute_hold_costs(grasps, pad_margins, self._config.partial_hold_cost)
         self.grasps = np.concatenate([self.grasps, grasps.poses, compose(grasps.poses, np.array(HALF_TURN))])
         self._hold_costs = np.concatenate([self._hold_costs, costs, costs])
 
@@ -209,7 +209,7 @@ class GraspSelector:
             return
         human_hand = scene.hand_in_object
         if human_hand is not None:
-            grasps, margins = find_offset_grasps(self._object, human_hand, self._receiver_config)
+            grasps, margins = find_offset_grasps(self._object, human_hand, self._receiver_config.approach.standoff)
             self._add(grasps, margins, self._config.offset_cost)
             self._has_offsets = True
 

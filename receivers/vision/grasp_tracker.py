@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.geometry.panda import HALF_TURN, PAD_DISTANCE
 from handover_marl.geometry.poses import compose, transform_points
+from handover_marl.grasps.validation import compute_grasp_distances, make_offset_pose
 from handover_marl.planning.robot_clearance import Spheres
-from handover_marl.receivers.reactive.grasps import compute_grasp_distances, make_offset_pose
 from handover_marl.receivers.vision.grasp_predictor import GraspPrediction, GraspPredictor
 
 Array = npt.NDArray[np.float64]

@@ -5,11 +5,11 @@ import numpy.typing as npt
 
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.poses import transform_points
+from handover_marl.grasps.graspable_object import OBSTACLE_RADIUS
 from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.planning.hand_tracker import HandTracker
 from handover_marl.planning.robot_clearance import Spheres
 from handover_marl.receivers.reactive.config import ReactiveConfig
-from handover_marl.receivers.reactive.grasp_contact import OBSTACLE_RADIUS
 from handover_marl.receivers.reactive.scene_estimate import SceneEstimate
 from handover_marl.receivers.vision.grasp_tracker import LOST_TIMEOUT, GraspTracker, LabelVotes, VoxelMap
 from handover_marl.receivers.vision.mask_predictor import MaskPredictor, segment_clouds

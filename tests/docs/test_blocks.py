@@ -242,7 +242,7 @@ def test_programs_run(page: Path, small: None, monkeypatch: pytest.MonkeyPatch) 
     for module in {module for part, module in NEEDS.items() if part in text}:
         pytest.importorskip(module)
     shorten_episodes(monkeypatch, GIVER_STEPS if name(page) in WITH_GIVERS else EPISODE_STEPS)
-    monkeypatch.setattr("handover_marl.learning.schemes.GraspServoScheme.wait", 0.2)
+    monkeypatch.setattr("handover_marl.learning.encodings.schemes.GraspServoScheme.wait", 0.2)
     names: dict[str, Any] = {"__name__": f"{page.stem}_blocks"}
     if page.stem == "demonstrations":
         handover_marl.demonstrate(

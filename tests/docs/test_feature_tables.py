@@ -11,8 +11,14 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.episode.observations import giver_observation_space, state_space
 from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
-from handover_marl.learning.encodings import count_features, count_outputs, list_features, list_schemes, make_scheme
-from handover_marl.learning.schemes import HandoverPoseScheme
+from handover_marl.learning.encodings.registry import (
+    count_features,
+    count_outputs,
+    list_features,
+    list_schemes,
+    make_action_scheme,
+)
+from handover_marl.learning.encodings.schemes import HandoverPoseScheme
 from tests.docs.pages import REPOSITORY, checked_table, marks
 from tests.learning.array_encodings import CONTEXT, SingleFeatures, select_grasp
 
@@ -221,7 +227,7 @@ def described_scale(text: str) -> list[float]:
 
 
 def test_schemes_of_givers_have_the_described_scales() -> None:
-    deviation = make_scheme("giver", "deviation", CONTEXT)
+    deviation = make_action_scheme("giver", "deviation", CONTEXT)
     deviation.set_outputs(np.ones(8))
     action = deviation.compute_action(OBSERVATION)
     for column in read_columns("scheme", "giver", "deviation")[:3]:
@@ -234,7 +240,7 @@ def test_schemes_of_givers_have_the_described_scales() -> None:
 def test_schemes_of_receivers_have_the_described_scales() -> None:
     names = ("joint_delta", "cartesian_delta", "grasp_servo")
     columns = {name: read_columns("scheme", "receiver", name) for name in names}
-    delta: Any = make_scheme("receiver", "joint_delta", CONTEXT)
+    delta: Any = make_action_scheme("receiver", "joint_delta", CONTEXT)
     centered = {**OBSERVATION, "robot_joint_position": np.float32((np.array(LOWER_LIMITS) + UPPER_LIMITS) / 2)}
     delta.set_outputs(np.ones(8))
     moved = delta.compute_action(centered)
@@ -242,8 +248,8 @@ def test_schemes_of_receivers_have_the_described_scales() -> None:
         moved[:7] - centered["robot_joint_position"][:7], described_scale(columns["joint_delta"][0].value)[0], rtol=1e-5
     )
     np.testing.assert_array_equal(moved[7:], 0.0)
-    cartesian: Any = make_scheme("receiver", "cartesian_delta", CONTEXT).scheme
-    servo: Any = make_scheme("receiver", "grasp_servo", CONTEXT).scheme
+    cartesian: Any = make_action_scheme("receiver", "cartesian_delta", CONTEXT).scheme
+    servo: Any = make_action_scheme("receiver", "grasp_servo", CONTEXT).scheme
     assert [described_scale(column.value) for column in columns["cartesian_delta"][:2]] == [
         [cartesian.max_output_translation],
         [cartesian.max_output_rotation],
@@ -253,7 +259,7 @@ def test_schemes_of_receivers_have_the_described_scales() -> None:
         [servo.max_output_rotation],
     ]
     assert f"above {servo.close_threshold:g}" in columns["grasp_servo"][2].value
-    joints = make_scheme("receiver", "joints", CONTEXT)
+    joints = make_action_scheme("receiver", "joints", CONTEXT)
     for value, limits in ((-1.0, LOWER_LIMITS), (1.0, UPPER_LIMITS)):
         joints.set_outputs(np.full(9, value))
         np.testing.assert_allclose(joints.compute_action(OBSERVATION), limits, rtol=1e-6)

@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.observations import Observation, add_episode_axis, giver_observation_space
 from handover_marl.geometry.arrays import ONLY_ROW
-from handover_marl.learning.encodings import list_features, list_schemes, make_array_features
-from handover_marl.learning.grasp_selector import LowestCostGraspSelector
+from handover_marl.grasps.selector import LowestCostGraspSelector
+from handover_marl.learning.encodings.registry import list_features, list_schemes, make_array_features
 from handover_marl.policies.policy import PolicyContext, make_policy_context
 from tests.givers.test_givers import START, seen
 

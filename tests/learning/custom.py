@@ -3,8 +3,8 @@
 import numpy as np
 
 from handover_marl.episode.observations import Observation
-from handover_marl.learning.action_scheme import ActionScheme
-from handover_marl.learning.custom_encodings import FeatureExtractor, declare_size
+from handover_marl.learning.encodings.action_scheme import ActionScheme
+from handover_marl.learning.encodings.custom import FeatureExtractor, declare_size
 
 
 @declare_size(3)

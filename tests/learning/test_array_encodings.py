@@ -15,13 +15,12 @@ from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import ArrayFactory, is_tensor, to_numpy
 from handover_marl.geometry.panda import HALF_TURN
 from handover_marl.geometry.poses import compose
-from handover_marl.learning.encodings import make_array_features, make_array_scheme, make_scheme
-from handover_marl.learning.grasp_selector import MAX_CLEARANCE, LowestCostGraspSelector
+from handover_marl.grasps.graspable_object import compute_hold_costs, load_graspable_object
+from handover_marl.grasps.known_grasps import load_hand_poses
+from handover_marl.grasps.selector import MAX_CLEARANCE, LowestCostGraspSelector
+from handover_marl.learning.encodings.registry import make_action_scheme, make_array_features, make_array_scheme
 from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.planning.robot_clearance import Spheres, compute_grasp_clearances
-from handover_marl.receivers.grasp_library import load_hand_poses
-from handover_marl.receivers.reactive.config import ReactiveConfig
-from handover_marl.receivers.reactive.grasp_contact import compute_hold_costs, load_graspable_object
 from tests.helpers.tensors import make_device_tensors
 from tests.learning.array_encodings import (
     CONTEXT,
@@ -43,7 +42,7 @@ def test_selected_grasps_have_the_lowest_cost() -> None:
     # The objects are near the grippers.
     observation["object_poses"][:, 0, :3] = observation["gripper_pose"][:, :3] + np.float32([0.0, 0.2, 0.1])
     grasps, clearances, exists = LowestCostGraspSelector(CONTEXT, COUNT).select(ROWS, observation)
-    arm, config = ArmInWorld.for_panda(CONTEXT.panda_urdf, CONTEXT.panda, 0.03), ReactiveConfig()
+    arm = ArmInWorld.for_panda(CONTEXT.panda_urdf, CONTEXT.panda, 0.03)
     for row in ROWS.tolist():
         one = {key: values.astype(float) for key, values in select(observation, row).items()}
         name = CONTEXT.object_names[int(one["object_classes"][0])]
@@ -51,7 +50,7 @@ def test_selected_grasps_have_the_lowest_cost() -> None:
         if not exists[row]:
             continue
         n_grasps += 1
-        graspable = load_graspable_object(CONTEXT, name, config)
+        graspable = load_graspable_object(CONTEXT, name)
         known = graspable.grasps.poses
         poses = compose(one["object_poses"][0], np.concatenate([known, compose(known, np.array(HALF_TURN))]))
         turns = Rotation.from_quat(one["gripper_pose"][3:]).inv() * Rotation.from_quat(poses[:, 3:])
@@ -60,7 +59,7 @@ def test_selected_grasps_have_the_lowest_cost() -> None:
             fingers = Spheres(one["hand_keypoints"], np.full(16, 0.012))
             free = compute_grasp_clearances(poses, fingers, 0.08, flange=False).clip(None, MAX_CLEARANCE)
         costs = np.linalg.norm(poses[:, :3] - one["gripper_pose"][:3], axis=1) + 0.25 * turns.magnitude()
-        costs += 0.1 * np.tile(compute_hold_costs(graspable.grasps, graspable.pad_margins, config.selection), 2)
+        costs += 0.1 * np.tile(compute_hold_costs(graspable.grasps, graspable.pad_margins), 2)
         costs += 10.0 * np.maximum(0.03 - free, 0.0) + 5.0 * (free < 0.003)
         away = np.linalg.norm(poses[:, :3] - grasps[row, :3], axis=1) + 1.0 - np.abs(poses[:, 3:] @ grasps[row, 3:])
         found = int(np.argmin(away))
@@ -87,7 +86,7 @@ def test_features_do_not_depend_on_other_episodes(agent: str, name: str) -> None
 
 @pytest.mark.parametrize(("agent", "name"), SCHEMES)
 def test_actions_do_not_depend_on_other_episodes(agent: str, name: str) -> None:
-    singles = [make_scheme(agent, name, CONTEXT) for _ in ROWS]
+    singles = [make_action_scheme(agent, name, CONTEXT) for _ in ROWS]
     together = make_array_scheme(agent, name, CONTEXT, LowestCostGraspSelector(CONTEXT, COUNT), COUNT)
     rng = np.random.default_rng(0)
     for episode in range(2):

@@ -13,6 +13,8 @@ from handover_marl.episode.metrics.fluency import CHEST, HALF_SHOULDER_WIDTH
 from handover_marl.episode.observations import Observation, add_episode_axis
 from handover_marl.geometry.panda import HALF_TURN
 from handover_marl.geometry.poses import compose, inverse_transform_points, invert_pose, transform_points
+from handover_marl.grasps.known_grasps import load_hand_poses
+from handover_marl.grasps.selector import MAX_CLEARANCE, load_validated_grasps
 from handover_marl.learning.adaptive_giver import (
     N_OFFER_FEATURES,
     OfferFeatures,
@@ -22,11 +24,9 @@ from handover_marl.learning.adaptive_giver import (
     compute_offered_poses,
     draw_offers,
 )
-from handover_marl.learning.grasp_selector import MAX_CLEARANCE, load_validated_grasps
 from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.planning.robot_clearance import Spheres, compute_grasp_clearances
 from handover_marl.receivers import make_policy_context
-from handover_marl.receivers.grasp_library import load_hand_poses
 from tests.givers.test_givers import seen
 from tests.learning.test_schemes import handover_action
 

@@ -20,7 +20,7 @@ from handover_marl.errors import ActionError, DataFormatError, HandoverError, Op
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, to_numpy
 from handover_marl.learning.adapters.function_policy import LearnedPolicy
 from handover_marl.learning.adaptive_giver import OFFER_FEATURES
-from handover_marl.learning.encodings import count_features, count_outputs
+from handover_marl.learning.encodings.registry import count_features, count_outputs
 from handover_marl.learning.policy_files import (
     ACTIVATIONS,
     DenseNetwork,

@@ -16,11 +16,11 @@ from handover_marl.envs.wrappers.control_agent import control_agent
 from handover_marl.episode.observations import add_episode_axis
 from handover_marl.episode.spaces import check_giver_action, giver_action_space, receiver_action_space
 from handover_marl.errors import HandoverError, OptionError
-from handover_marl.learning.array_features import compute_handover_frames
-from handover_marl.learning.custom_encodings import declare_size
-from handover_marl.learning.encodings import count_outputs, list_schemes, make_scheme
-from handover_marl.learning.grasp_selector import LowestCostGraspSelector
-from handover_marl.learning.schemes import HandoverPoseScheme
+from handover_marl.grasps.selector import LowestCostGraspSelector
+from handover_marl.learning.encodings.custom import declare_size
+from handover_marl.learning.encodings.features import compute_handover_frames
+from handover_marl.learning.encodings.registry import count_outputs, list_schemes, make_action_scheme
+from handover_marl.learning.encodings.schemes import HandoverPoseScheme
 from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.receivers import WAITING_JOINTS, make_policy_context
 from tests.givers.test_givers import START, seen
@@ -36,7 +36,7 @@ def test_any_outputs_give_a_valid_action(agent: str) -> None:
     space = giver_action_space() if agent == "giver" else receiver_action_space()
     rng = np.random.default_rng(0)
     for name in set(list_schemes(agent)) - {agent}:
-        scheme = make_scheme(agent, name, CONTEXT)
+        scheme = make_action_scheme(agent, name, CONTEXT)
         for _ in range(20):
             if scheme.needs_outputs(seen()):
                 scheme.set_outputs(rng.uniform(-3, 3, count_outputs(agent, name)))
@@ -46,7 +46,7 @@ def test_any_outputs_give_a_valid_action(agent: str) -> None:
 
 
 def handover_action(values: np.ndarray, **changes: object) -> np.ndarray:
-    scheme = make_scheme("giver", "offer", CONTEXT)
+    scheme = make_action_scheme("giver", "offer", CONTEXT)
     scheme.set_outputs(values)
     return scheme.compute_action(seen(**changes))
 
@@ -65,7 +65,7 @@ def test_handover_pose_moves_and_rotates_the_object_about_its_center(values: np.
 
 
 def test_outputs_are_needed_once_when_the_recording_arrives() -> None:
-    scheme = make_scheme("giver", "offer", CONTEXT)
+    scheme = make_action_scheme("giver", "offer", CONTEXT)
     moving = np.linspace([0.6, 0.6, 1.2, 0, 0, 0, 1], [0.6, 0.4, 1.2, 0, 0, 0, 1], 5).astype(np.float32)
     assert not scheme.needs_outputs(seen(holding=np.float32([0])))
     assert not scheme.needs_outputs(seen(hand_present=np.float32([0])))
@@ -77,7 +77,7 @@ def test_outputs_are_needed_once_when_the_recording_arrives() -> None:
 
 
 def test_hand_withdraws_after_the_release() -> None:
-    scheme = make_scheme("giver", "offer", CONTEXT)
+    scheme = make_action_scheme("giver", "offer", CONTEXT)
     scheme.set_outputs(np.array([0, 0, 0, 0, 0, 0, 1.0]))
     np.testing.assert_allclose(scheme.compute_action(seen())[1:4], np.zeros(3), atol=1e-7)
     away = scheme.compute_action(seen(released=np.float32([1])))
@@ -86,7 +86,7 @@ def test_hand_withdraws_after_the_release() -> None:
 
 def test_cartesian_delta_moves_the_gripper_in_its_own_frame() -> None:
     robot = ArmInWorld.for_panda(CONTEXT.panda_urdf, PandaConfig())
-    scheme = make_scheme("receiver", "cartesian_delta", CONTEXT)
+    scheme = make_action_scheme("receiver", "cartesian_delta", CONTEXT)
 
     def gripper(joints: np.ndarray) -> tuple[np.ndarray, Rotation]:
         pose = robot.compute_hand_pose(joints[:7])
@@ -106,7 +106,7 @@ def test_cartesian_delta_moves_the_gripper_in_its_own_frame() -> None:
 
 @pytest.mark.parametrize("name", ["joint_delta", "cartesian_delta"])
 def test_outputs_follow_from_the_action_of_a_receiver(name: str) -> None:
-    scheme = make_scheme("receiver", name, CONTEXT)
+    scheme = make_action_scheme("receiver", name, CONTEXT)
     observation: Any = add_episode_axis(seen())
     values = np.random.default_rng(0).uniform(-0.8, 0.8, scheme.scheme.size)
     values[-1] = 1.0
@@ -123,7 +123,7 @@ def test_outputs_follow_from_the_action_of_a_receiver(name: str) -> None:
 
 
 def test_grasp_servo_waits_then_approaches_a_grasp() -> None:
-    scheme = make_scheme("receiver", "grasp_servo", CONTEXT)
+    scheme = make_action_scheme("receiver", "grasp_servo", CONTEXT)
     early, late = seen(time=np.float32([1.9])), seen(time=np.float32([2.0]))
     assert not scheme.needs_outputs(early)
     np.testing.assert_array_equal(scheme.compute_action(early), np.array(WAITING_JOINTS, dtype=np.float32))
@@ -140,7 +140,7 @@ def test_grasp_servo_waits_then_approaches_a_grasp() -> None:
 
 
 def test_grasp_servo_stays_closed() -> None:
-    scheme = make_scheme("receiver", "grasp_servo", CONTEXT)
+    scheme = make_action_scheme("receiver", "grasp_servo", CONTEXT)
     fingers = []
     for value in (0.3, -1.0, 0.6, 0.0, -1.0, 0.4):
         scheme.set_outputs(np.array([0, 0, 0, 0, 0, 0, value]))
@@ -179,10 +179,10 @@ def test_schemes_and_features_follow_the_configuration() -> None:
     """Schemes and features use the configured bounds of the giver and the configured position of the goal."""
     narrow, moved = GiverConfig(displacement=0.1), ProtocolConfig(goal_center=(0.5, -0.3, 1.1))
     context = make_policy_context(SyntheticDataset(), WorldConfig(protocol=moved, giver=narrow))
-    scheme = make_scheme("giver", "deviation", context)
+    scheme = make_action_scheme("giver", "deviation", context)
     scheme.set_outputs(np.ones(8))
     np.testing.assert_array_equal(scheme.compute_action(seen()), giver_action_space(narrow).high)
-    servo = make_scheme("receiver", "grasp_servo", context)
+    servo = make_action_scheme("receiver", "grasp_servo", context)
     goal = np.array([*moved.goal_center, 0, 0, 0, 1], dtype=np.float32)
     brought = servo.compute_action(seen(time=np.float32([3.0]), gripper_pose=goal, released=np.float32([1])))
     np.testing.assert_allclose(brought[:7], START[:7], atol=1e-5)
@@ -237,7 +237,7 @@ def test_forms_of_own_features(choice: Any, name: str, size: int) -> None:
 
 @pytest.mark.parametrize("choice", [FirstJoint, move_first_joint, f"{MODULE}:FirstJoint", f"{MODULE}:move_first_joint"])
 def test_forms_of_own_schemes(choice: Any) -> None:
-    scheme = make_scheme("receiver", choice, CONTEXT)
+    scheme = make_action_scheme("receiver", choice, CONTEXT)
     assert scheme.scheme.size == 1
     assert scheme.needs_outputs(seen())
     np.testing.assert_array_equal(scheme.compute_action(seen()), START)
@@ -250,7 +250,7 @@ def test_forms_of_own_schemes(choice: Any) -> None:
 def test_memory_of_own_scheme_functions_is_cleared() -> None:
     resets: list[int] = []
     parts = {"size": 1, "reset": lambda self: resets.append(1), "__call__": lambda self, outputs, observation: START}
-    scheme = make_scheme("receiver", type("Mine", (), parts)(), CONTEXT)
+    scheme = make_action_scheme("receiver", type("Mine", (), parts)(), CONTEXT)
     resets.clear()
     scheme.reset()
     assert resets == [1]
@@ -274,7 +274,7 @@ def test_memory_of_own_scheme_functions_is_cleared() -> None:
         (SingleFeatures, "giver", OffsetAndCount, "'OffsetAndCount' must be for the giver, got some for the receiver"),
         (SingleFeatures, "receiver", "nothing", "features of the receiver 'nothing'; valid: receiver"),
         (SingleFeatures, "receiver", "no_such_module:x", "it cannot be imported"),
-        (make_scheme, "receiver", OffsetAndCount, "must be a name, a subclass of .*ActionScheme or a function"),
+        (make_action_scheme, "receiver", OffsetAndCount, "must be a name, a subclass of .*ActionScheme or a function"),
     ],
 )
 def test_invalid_choices(make: Any, agent: str, choice: Any, message: str) -> None:

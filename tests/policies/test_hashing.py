@@ -28,7 +28,7 @@ WEIGHTS = np.arange(3.0)
 
 NAMED = """
 from handover_marl.givers import Giver, make_giver_action
-from handover_marl.learning.custom_encodings import declare_size
+from handover_marl.learning.encodings.custom import declare_size
 
 @declare_size(1)
 def count(observation):

@@ -18,7 +18,7 @@ from handover_marl.evaluation.comparison import compare
 from handover_marl.evaluation.reports.report import load_report
 from handover_marl.evaluation.strangers.protocol import strangers
 from handover_marl.evaluation.verification import verify
-from handover_marl.learning.encodings import count_features
+from handover_marl.learning.encodings.registry import count_features
 from handover_marl.learning.policy_files import DenseNetwork, PolicySpec, write_policy
 from handover_marl.policies.populations import load_population
 from handover_marl.policies.reference import parse_policy
@@ -30,7 +30,7 @@ MODULE = "module_of_a_stranger"
 CODE = f"""
 from pathlib import Path
 from handover_marl.givers.variations import HurriedGiver
-from handover_marl.learning.custom_encodings import declare_size
+from handover_marl.learning.encodings.custom import declare_size
 from handover_marl.receivers.baselines import HoldReceiver
 
 Path("imported").touch()

@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 import pytest
 
+from handover_marl.grasps.validation import GraspPreparationConfig
 from handover_marl.planning import goal_set, planner
-from handover_marl.receivers.reactive.grasps import GraspPreparationConfig
 from handover_marl.simulation.grasp_validation_config import GraspValidationConfig
 
 # The simulated validations are so short that all grasps pass them.

@@ -18,10 +18,10 @@ from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import run_episode
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.panda import PANDA, PANDA_CAMERA
+from handover_marl.grasps import graspable_object
+from handover_marl.grasps.validation import ValidatedGrasps
 from handover_marl.policies.policy import Policy, PolicyContext, make_policy_context
 from handover_marl.policies.reference import parse_policy
-from handover_marl.receivers.reactive import grasp_contact
-from handover_marl.receivers.reactive.grasps import ValidatedGrasps
 from tests.docs.pages import REPOSITORY, checked_table
 from tests.receivers.quick import short_planning  # noqa: F401
 
@@ -228,9 +228,9 @@ def use_validation(monkeypatch: pytest.MonkeyPatch, rate: float) -> None:
     def validate(urdf: Path, panda: Path, known: npt.NDArray[np.float64], config: object) -> ValidatedGrasps:
         return ValidatedGrasps(known, np.where(np.arange(len(known)) % 2 == 0, rate, 1.0))
 
-    monkeypatch.setattr(grasp_contact, "validate_grasps", validate)
-    load = grasp_contact._load_graspable_object.__wrapped__
-    monkeypatch.setattr(grasp_contact, "_load_graspable_object", functools.lru_cache(load))
+    monkeypatch.setattr(graspable_object, "validate_grasps", validate)
+    load = graspable_object._load_graspable_object.__wrapped__
+    monkeypatch.setattr(graspable_object, "_load_graspable_object", functools.lru_cache(load))
 
 
 @pytest.mark.parametrize("name", RECEIVERS)

@@ -3,16 +3,15 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Any, Final, Literal
+from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import MAX_OBJECTS
+from handover_marl.config import MAX_OBJECTS, CheckedConfig, bounded
 from handover_marl.datasets.generated.random_stream import Seed
 from handover_marl.datasets.splits import SPLITS
 from handover_marl.errors import OptionError, check_name
-from handover_marl.execution.files import shorten_text
 
 #: First word of the name of generated data sets.
 GENERATED: Final = "generated"
@@ -32,16 +31,12 @@ _SPLIT_OF_REMAINDER: Final = np.array([0] * 8 + [1, 2])
 _OBJECT_OFFSET: Final = 1 << 40
 ItemKind = Literal["scene", "object", "person"]
 
-# Smallest and largest values. Seeds are 32-bit words, and class numbers are exact in float32 observations.
-_LIMITS: Final = {
-    **{"n": (1, 10_000_000), "seed": (0, 2**32 - 1), "objects": (50, 100_000), "people": (1, 100_000)},
-    **{"procedural": (0, 1), "left": (0, 1), "clutter_max": (0, MAX_OBJECTS - 1)},
-    **dict.fromkeys(OBJECT_KINDS, (0, 1_000_000)),
-}
+# Largest frequency of a kind of object; they are relative.
+_MAX_FREQUENCY: Final = 1_000_000
 
 
 @dataclass(frozen=True)
-class GeneratedConfig:
+class GeneratedConfig(CheckedConfig):
     """Configuration of generated scenes; a value that is not allowed raises `OptionError` or `UnknownNameError`.
 
     There are `n` scenes of a `family` in `FAMILIES`. In the share `procedural` of them, one of `people` persons hands
@@ -49,15 +44,20 @@ class GeneratedConfig:
     objects are on the table. The last five are relative frequencies of the kinds of procedural objects.
     """
 
-    n: int = 1000
-    seed: int = 0
+    default_limits: ClassVar[tuple[float, float]] = (0, _MAX_FREQUENCY)
+    ordered_fields: ClassVar[tuple[tuple[str, str], ...]] = (("clutter_min", "clutter_max"),)
+
+    n: int = bounded(1000, 1, 10_000_000)
+    # Seeds are 32-bit words.
+    seed: int = bounded(0, 0, 2**32 - 1)
     family: str = DEFAULT
-    procedural: float = 0.5
-    objects: int = 1000
-    people: int = 50
-    left: float = 0.5
-    clutter_min: int = 2
-    clutter_max: int = 4
+    procedural: float = bounded(0.5, 0, 1)
+    # Class numbers are exact in float32 observations.
+    objects: int = bounded(1000, 50, 100_000)
+    people: int = bounded(50, 1, 100_000)
+    left: float = bounded(0.5, 0, 1)
+    clutter_min: int = bounded(2, 0)
+    clutter_max: int = bounded(4, 0, MAX_OBJECTS - 1)
     boxes: float = 1.0
     cylinders: float = 1.0
     bottles: float = 1.0
@@ -66,12 +66,7 @@ class GeneratedConfig:
 
     def __post_init__(self) -> None:
         check_name("family", self.family, FAMILIES)
-        for name, (low, high) in {**_LIMITS, "clutter_min": (0, self.clutter_max)}.items():
-            value = getattr(self, name)
-            if not low <= value <= high:  # Also refuses NaN.
-                raise OptionError(
-                    f"{name} must be from {low:g} to {high:g}, got {shorten_text(value)}; choose a number in this range"
-                )
+        super().__post_init__()
         if not any(self.kind_weights):
             raise OptionError(f"one of {', '.join(OBJECT_KINDS)} must be above 0, got 0 for all; leave them out")
 

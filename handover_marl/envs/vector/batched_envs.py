@@ -23,10 +23,10 @@ from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.episode.spaces import has_camera
 from handover_marl.episode.warp_sensors import WarpSensors
 from handover_marl.geometry.arrays import AnyArray, AnyIndices, Indices, to_numpy
-from handover_marl.learning.action_scheme import ArrayScheme
-from handover_marl.learning.array_features import ArrayFeatures
-from handover_marl.learning.encodings import make_array_features, make_array_scheme
-from handover_marl.learning.grasp_selector import LowestCostGraspSelector
+from handover_marl.grasps.selector import LowestCostGraspSelector
+from handover_marl.learning.encodings.action_scheme import ArrayScheme
+from handover_marl.learning.encodings.features import ArrayFeatures
+from handover_marl.learning.encodings.registry import make_array_features, make_array_scheme
 from handover_marl.learning.policy_files import OBSERVATION
 from handover_marl.policies.batch import PolicyBatch, make_policy_batch
 from handover_marl.simulation.engines import BatchBackend

@@ -23,7 +23,7 @@ from handover_marl.envs.wrappers.wrapper import WrappableEnv, check_env, list_wr
 from handover_marl.episode.spaces import FULL_POINTCLOUD, has_camera, parse_obs_mode
 from handover_marl.errors import HandoverError, OptionError, check_name
 from handover_marl.execution.options import check_positive_integer, count_available_cores, forward_signature
-from handover_marl.learning.custom_encodings import FeaturesLike, SchemeLike, is_reference
+from handover_marl.learning.encodings.custom import FeaturesLike, SchemeLike, is_reference
 from handover_marl.policies.reference import PolicyLike
 from handover_marl.simulation.camera.optics import CameraInfo
 from handover_marl.simulation.camera.renderers import RAYS, resolve_renderer

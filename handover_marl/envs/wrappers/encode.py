@@ -24,11 +24,11 @@ from handover_marl.episode.observations import Observation, add_episode_axis
 from handover_marl.episode.spaces import check_vector, has_state
 from handover_marl.errors import OptionError, ResetNeededError
 from handover_marl.geometry.arrays import ONLY_ROW
-from handover_marl.learning.action_scheme import ArrayScheme, RawScheme
-from handover_marl.learning.array_features import ArrayFeatures
-from handover_marl.learning.custom_encodings import FeaturesLike, SchemeLike, is_reference
-from handover_marl.learning.encodings import make_array_features, make_array_scheme
-from handover_marl.learning.grasp_selector import LowestCostGraspSelector
+from handover_marl.grasps.selector import LowestCostGraspSelector
+from handover_marl.learning.encodings.action_scheme import ArrayScheme, RawScheme
+from handover_marl.learning.encodings.custom import FeaturesLike, SchemeLike, is_reference
+from handover_marl.learning.encodings.features import ArrayFeatures
+from handover_marl.learning.encodings.registry import make_array_features, make_array_scheme
 from handover_marl.learning.policy_files import OBSERVATION
 
 DEFAULT_FEATURES = {GIVER: "giver", RECEIVER: "receiver"}

@@ -131,11 +131,11 @@ def list_mesh_files(urdf: Path, purpose: str) -> list[Path]:
 def read_link_vertices(urdf: Path, purpose: str, names: list[str]) -> list[Array]:
     """Read vertices (m, 3) of the "collision" or "visual" shapes of each named link, in the frame of that link (m)."""
     tree = read_tree(urdf)
-    numbers = [joint.link for joint in tree.joints]
+    numbers = {joint.link: number for number, joint in enumerate(tree.joints)}
     shapes = read_urdf_shapes(urdf, tree, purpose)
     vertices = []
     for name in names:
-        own = [read_shape_mesh(shape, urdf)[0] for shape in shapes if shape.link == numbers.index(name)]
+        own = [read_shape_mesh(shape, urdf)[0] for shape in shapes if shape.link == numbers.get(name)]
         if not own:
             raise DataFormatError(f"{urdf}: link {name!r} must have a {purpose} shape; check the file")
         vertices.append(np.concatenate(own))

@@ -15,8 +15,8 @@ from handover_marl.execution.options import check_boolean
 from handover_marl.execution.tasks import pickle_by_value
 from handover_marl.learning.adapters.export import is_sb3_model
 from handover_marl.learning.adapters.function_policy import FunctionPolicy, TorchFunction
-from handover_marl.learning.custom_encodings import FeaturesLike, SchemeLike, is_reference
-from handover_marl.learning.encodings import check_encodings, list_features
+from handover_marl.learning.encodings.custom import FeaturesLike, SchemeLike, is_reference
+from handover_marl.learning.encodings.registry import check_encodings, list_features
 from handover_marl.learning.policy_files import (
     OBSERVATION,
     RAW_ENCODINGS,

@@ -8,8 +8,8 @@ from typing import Any
 
 from handover_marl.errors import DataFormatError, OptionError
 from handover_marl.learning.adapters.modules import dense_network_from_module
-from handover_marl.learning.custom_encodings import is_reference
-from handover_marl.learning.encodings import count_features, count_outputs
+from handover_marl.learning.encodings.custom import is_reference
+from handover_marl.learning.encodings.registry import count_features, count_outputs
 from handover_marl.learning.policy_files import complete_spec, write_policy
 
 

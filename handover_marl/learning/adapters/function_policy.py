@@ -13,11 +13,11 @@ from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import check_vector
 from handover_marl.errors import OptionError
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, ArrayFactory, to_numpy
+from handover_marl.grasps.selector import LowestCostGraspSelector
 from handover_marl.learning.adaptive_giver import OFFER_FEATURES
-from handover_marl.learning.array_features import ArrayFeatures
-from handover_marl.learning.custom_encodings import FEATURES, SCHEME, CustomScheme, is_reference
-from handover_marl.learning.encodings import list_features, make_array_features, make_array_scheme
-from handover_marl.learning.grasp_selector import LowestCostGraspSelector
+from handover_marl.learning.encodings.custom import FEATURES, SCHEME, CustomScheme, is_reference
+from handover_marl.learning.encodings.features import ArrayFeatures
+from handover_marl.learning.encodings.registry import list_features, make_array_features, make_array_scheme
 from handover_marl.learning.policy_files import OBSERVATION, DenseNetwork, PolicySpec, read_policy
 from handover_marl.policies.batch import ArrayPolicy
 from handover_marl.policies.hashing import hash_object

@@ -1,6 +1,7 @@
 """Tests of generated scenes, of shapes of procedural objects, and of human and robot grasps of them."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from handover_marl.datasets.generated.hands import draw_person
 from handover_marl.datasets.generated.motion import MAX_SPEED, resample_fingers, resample_poses
 from handover_marl.datasets.generated.random_stream import RandomStream
 from handover_marl.datasets.generated.shapes import ProceduralObject, Solid, draw_object, make_surface
-from handover_marl.errors import HandoverError, SceneError, UnknownNameError
+from handover_marl.errors import HandoverError, OptionError, SceneError, UnknownNameError
 from handover_marl.geometry.model_files.meshes import check_model
 from tests.helpers.equality import hash_scene
 
@@ -140,14 +141,20 @@ def test_family_sets_its_defaults() -> None:
     [
         ("", "unknown parameter of generated scenes ''"),
         ("n=ten", "n must be a number, got 'ten'"),
-        ("n=0", "n must be from 1 to"),
-        ("clutter_min=3,clutter_max=2", "clutter_min must be from 0 to 2, got 3"),
+        ("n=0", "n of GeneratedConfig must be an integer from 1 to 10000000, got 0"),
+        ("clutter_min=3,clutter_max=2", "clutter_min of GeneratedConfig must be at most clutter_max, got 3 and 2"),
         ("sed=1", "unknown parameter of generated scenes 'sed'"),
     ],
 )
 def test_wrong_texts_are_refused(text: str, message: str) -> None:
     with pytest.raises(HandoverError, match=message):
         parse_generated_config(text)
+
+
+@pytest.mark.parametrize("fields", [{"n": 1.5}, {"left": np.nan}, {"clutter_max": True}])
+def test_wrong_numbers_are_refused(fields: dict[str, Any]) -> None:
+    with pytest.raises(OptionError, match=next(iter(fields))):
+        GeneratedConfig(**fields)
 
 
 @pytest.mark.parametrize("seed", range(5))

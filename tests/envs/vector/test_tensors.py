@@ -181,7 +181,7 @@ def test_environments_equal_those_of_arrays(
     steps, usual = 16 if agent is not None else 8, SHORT
     if "features" in options:
         # The receiver waits for four cycles; an offer lasts a whole episode. Episodes end, and new ones start.
-        monkeypatch.setattr("handover_marl.learning.schemes.GraspServoScheme.wait", 0.8)
+        monkeypatch.setattr("handover_marl.learning.encodings.schemes.GraspServoScheme.wait", 0.8)
         offering = {**ENCODED, "max_cycles": 5, "control_period": 0.5}
         steps, usual = (2, offering) if options["action_scheme"] == "offer" else (8, ENCODED)
     compare(request, steps, agent, {**usual, **options})

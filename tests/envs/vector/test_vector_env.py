@@ -116,7 +116,7 @@ WAITING = {**OPTIONS, "control_period": 0.2, "max_cycles": 25}
 def test_equal_to_single_environments_to_the_bit(
     agent: str, partner: str, encodings: Any, autoreset: str, steps: int, options: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("handover_marl.learning.schemes.GraspServoScheme.wait", 0.8)
+    monkeypatch.setattr("handover_marl.learning.encodings.schemes.GraspServoScheme.wait", 0.8)
 
     def make() -> Any:
         live = control_agent(handover_marl.parallel_env(**options), agent, partner)
@@ -182,7 +182,7 @@ def test_the_next_episode_is_the_one_that_a_single_environment_draws(monkeypatch
     """
     options = {**OPTIONS, "control_period": 0.2, "max_cycles": 6, "rewards": "shaped"}
     options["world_config"] = WorldConfig(initial_joint_noise=0.1)
-    monkeypatch.setattr("handover_marl.learning.schemes.GraspServoScheme.wait", 0.8)
+    monkeypatch.setattr("handover_marl.learning.encodings.schemes.GraspServoScheme.wait", 0.8)
     together = handover_marl.vector_env(
         2, "receiver", "hesitant", features="close", action_scheme="grasp_servo", threads=1, **options
     )

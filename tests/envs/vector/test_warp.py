@@ -15,7 +15,7 @@ from handover_marl.envs.custom_rewards import combine_rewards
 from handover_marl.episode import warp_sensors
 from handover_marl.errors import OptionError
 from handover_marl.geometry.arrays import to_numpy
-from handover_marl.learning.custom_encodings import declare_size
+from handover_marl.learning.encodings.custom import declare_size
 from tests.helpers.fake_device import DEVICE, DeviceTensor
 
 pytestmark = pytest.mark.slow

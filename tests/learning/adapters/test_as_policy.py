@@ -15,7 +15,7 @@ from handover_marl import receivers
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import HandoverError, OptionError
 from handover_marl.learning.adapters.function_policy import reset_function
-from handover_marl.learning.encodings import make_scheme
+from handover_marl.learning.encodings.registry import make_action_scheme
 from handover_marl.policies.policy import Policy, make_policy_context
 from handover_marl.policies.reference import PolicyReference
 from tests.givers.test_givers import seen
@@ -61,7 +61,7 @@ def test_functions_get_the_observation() -> None:
 def test_modules_act_as_before_later_training(agent: str) -> None:
     net, choice, context = make_net(agent).to(torch.float64), CHOICES[agent], make_policy_context(DATA)
     reference = adapt(agent, net, **choice, control_period=0.2)
-    scheme = make_scheme(agent, choice["action_scheme"], context)
+    scheme = make_action_scheme(agent, choice["action_scheme"], context)
     inputs = torch.from_numpy(SingleFeatures(agent, choice["features"], context)(seen()))[None].double()
     with torch.no_grad():
         scheme.set_outputs(net(inputs)[0].float().numpy())

@@ -11,8 +11,8 @@ import pytest
 import handover_marl
 from handover_marl.evaluation.benchmark import evaluate_pair
 from handover_marl.evaluation.reports.report import Report
+from handover_marl.grasps.validation import GraspPreparationConfig
 from handover_marl.receivers.reactive.config import ReactiveConfig
-from handover_marl.receivers.reactive.grasps import GraspPreparationConfig
 
 #: Configuration that validates known grasps only, without tilts and offsets, for tests of other things.
 QUICK_REACTIVE = ReactiveConfig(
@@ -44,7 +44,7 @@ def simulate_here(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let trainings simulate environments in this process; receivers of the scheme grasp_servo wait for 0.4 s."""
     make, here = handover_marl.vector_env, {"processes": None, "threads": 1}
     monkeypatch.setattr(handover_marl, "vector_env", lambda *args, **options: make(*args, **options | here))
-    monkeypatch.setattr("handover_marl.learning.schemes.GraspServoScheme.wait", 0.4)
+    monkeypatch.setattr("handover_marl.learning.encodings.schemes.GraspServoScheme.wait", 0.4)
 
 
 def files(folder: Path) -> set[str]:

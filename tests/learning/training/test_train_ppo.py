@@ -75,7 +75,7 @@ def test_own_features_and_action_schemes_are_trained_and_evaluated(
 def test_a_training_repeats_from_its_seed(train: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two workers, which collect in any order, give the same policy in this process and in others."""
     small = {"dataset": "synthetic", "num_envs": 2, "batch_size": 4, "epochs": 1, "decisions": 4, "val_scenes": 0}
-    monkeypatch.setattr("handover_marl.learning.schemes.GraspServoScheme.wait", 2.0)
+    monkeypatch.setattr("handover_marl.learning.encodings.schemes.GraspServoScheme.wait", 2.0)
     found = []
     for name, make in (("here", handover_marl.vector_env), ("apart", VECTOR_ENV)):
         monkeypatch.setattr(handover_marl, "vector_env", make)

@@ -9,11 +9,11 @@ from handover_marl.config import ProtocolConfig
 from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
 from handover_marl.geometry.poses import compose
 from handover_marl.geometry.rotations import rotate_points
+from handover_marl.grasps.graspable_object import collect_surface_points, compute_pad_margins
+from handover_marl.grasps.validation import OFFSET_HAND_CLEARANCE, ValidatedGrasps, perturb_grasps
 from handover_marl.planning.arm_control import ArmInWorld, ArmServo
 from handover_marl.planning.robot_clearance import Spheres, compute_grasp_clearances
 from handover_marl.receivers.reactive.config import ReactiveConfig, RetreatConfig
-from handover_marl.receivers.reactive.grasp_contact import collect_surface_points, compute_pad_margins
-from handover_marl.receivers.reactive.grasps import OFFSET_HAND_CLEARANCE, ValidatedGrasps, perturb_grasps
 from handover_marl.receivers.reactive.retreat import DESIRED_CLEARANCE, RetreatController
 from handover_marl.receivers.reactive.selector import HOME
 from tests.planning.robots import ARM, BASE

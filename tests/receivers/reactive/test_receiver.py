@@ -9,11 +9,11 @@ from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import EpisodeCallback, run_episode
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.poses import transform_points
+from handover_marl.grasps.graspable_object import load_obstacle
 from handover_marl.planning.robot_clearance import Spheres, compute_grasp_clearances
 from handover_marl.policies.policy import make_policy_context
 from handover_marl.receivers.reactive.config import ReactiveConfig, apply_risk
 from handover_marl.receivers.reactive.controller import ReactivePhase
-from handover_marl.receivers.reactive.grasp_contact import load_obstacle
 from handover_marl.receivers.reactive.receiver import ReactiveReceiver
 from handover_marl.receivers.reactive.scene_estimate import PoseSceneEstimate
 from tests.helpers.playing import observe_handover

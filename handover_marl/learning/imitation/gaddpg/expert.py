@@ -23,7 +23,8 @@ from handover_marl.geometry.distance_field import load_object_sdf
 from handover_marl.geometry.panda import OPEN, PAD_DISTANCE
 from handover_marl.geometry.poses import compose, inverse_transform_points, invert_pose
 from handover_marl.geometry.rotations import quaternions_from_euler
-from handover_marl.learning.grasp_selector import load_validated_grasps
+from handover_marl.grasps.selector import load_validated_grasps
+from handover_marl.grasps.validation import compute_grasp_distances
 from handover_marl.learning.networks.approach_field import compute_approach_steps
 from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.planning.ik_solvers import make_ik_stepper
@@ -31,7 +32,6 @@ from handover_marl.planning.planner import OBJECT_PADDING, Planner, PlannerConfi
 from handover_marl.planning.robot_clearance import Spheres, compute_grasp_clearances, compute_gripper_corners
 from handover_marl.planning.trajectory_cost import Obstacle
 from handover_marl.policies.policy import PolicyContext
-from handover_marl.receivers.reactive.grasps import compute_grasp_distances
 from handover_marl.simulation.camera.optics import WRIST_CAMERA
 
 Array = npt.NDArray[np.float64]

@@ -22,6 +22,7 @@ from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import OPEN, WAITING_JOINTS
 from handover_marl.geometry.poses import compose, inverse_transform_points, invert_pose, transform_points
 from handover_marl.geometry.rotations import quaternions_from_euler
+from handover_marl.grasps.graspable_object import compute_hold_costs, find_offset_grasps, load_graspable_object
 from handover_marl.learning.imitation.run import stack_samples
 from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.planning.hand_tracker import HandTracker
@@ -29,7 +30,6 @@ from handover_marl.planning.robot_clearance import Spheres, compute_grasp_cleara
 from handover_marl.policies.policy import make_policy_context
 from handover_marl.receivers.reactive.config import ReactiveConfig
 from handover_marl.receivers.reactive.controller import LIMIT_PADDING
-from handover_marl.receivers.reactive.grasp_contact import compute_hold_costs, find_offset_grasps, load_graspable_object
 from handover_marl.receivers.reactive.selector import FALLBACK_IK_SEEDS, IK_SEEDS
 from handover_marl.receivers.vision.grasp_predictor import N_HAND_POINTS, N_OBJECT_POINTS, sample_points
 from handover_marl.simulation.camera.images import JointSnapshot, SegmentationLabel
@@ -204,12 +204,12 @@ class ViewRenderer(RecordedViewRenderer):
             object_pose: (7,) pose of the object in the world, quaternion xyzw.
         """
         config = self._reactive
-        found = load_graspable_object(self._context, object_name, config)
-        poses, costs = found.grasps.poses, compute_hold_costs(found.grasps, found.pad_margins, config.selection)
+        found = load_graspable_object(self._context, object_name)
+        poses, costs = found.grasps.poses, compute_hold_costs(found.grasps, found.pad_margins)
         if hand is None or not len(poses):
             return Grasps(poses, costs, found.center)
-        offset, margins = find_offset_grasps(found, hand.transform_to_frame(object_pose), config)
-        offset_costs = config.selection.offset_cost + compute_hold_costs(offset, margins, config.selection)
+        offset, margins = find_offset_grasps(found, hand.transform_to_frame(object_pose), config.approach.standoff)
+        offset_costs = config.selection.offset_cost + compute_hold_costs(offset, margins)
         qualities = self.compute_qualities(Grasps(offset.poses, offset_costs, found.center), hand, object_pose)
         kept = np.flatnonzero(qualities > MIN_QUALITY)
         kept = kept[:: max(1, -(-len(kept) // MAX_OFFSET_GRASPS))]

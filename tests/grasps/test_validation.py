@@ -11,9 +11,9 @@ from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.geometry.panda import PANDA, PANDA_CAMERA
 from handover_marl.geometry.poses import compose
 from handover_marl.geometry.ycb import CLASS_NAMES
-from handover_marl.receivers.grasp_library import load_hand_poses
-from handover_marl.receivers.reactive import grasps as validation_module
-from handover_marl.receivers.reactive.grasps import (
+from handover_marl.grasps import validation as validation_module
+from handover_marl.grasps.known_grasps import load_hand_poses
+from handover_marl.grasps.validation import (
     GraspPreparationConfig,
     get_validation_record,
     get_validation_record_path,

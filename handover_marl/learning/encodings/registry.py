@@ -4,8 +4,18 @@ from typing import Any
 
 from handover_marl.errors import check_name
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory
-from handover_marl.learning.action_scheme import ArrayScheme, SingleEpisodeScheme
-from handover_marl.learning.array_features import (
+from handover_marl.grasps.selector import LowestCostGraspSelector
+from handover_marl.learning.encodings.action_scheme import ArrayScheme, SingleEpisodeScheme
+from handover_marl.learning.encodings.custom import (
+    FEATURES,
+    SCHEME,
+    CustomFeatures,
+    CustomScheme,
+    FeaturesLike,
+    SchemeLike,
+    is_reference,
+)
+from handover_marl.learning.encodings.features import (
     ArrayFeatures,
     FlatGiverFeatures,
     FlatReceiverFeatures,
@@ -16,18 +26,7 @@ from handover_marl.learning.array_features import (
     ReceiverFeatures,
     StackedFeatures,
 )
-from handover_marl.learning.custom_encodings import (
-    FEATURES,
-    SCHEME,
-    CustomFeatures,
-    CustomScheme,
-    FeaturesLike,
-    SchemeLike,
-    is_reference,
-)
-from handover_marl.learning.grasp_selector import LowestCostGraspSelector
-from handover_marl.learning.policy_files import OBSERVATION
-from handover_marl.learning.schemes import (
+from handover_marl.learning.encodings.schemes import (
     CartesianDeltaScheme,
     DeviationScheme,
     GraspServoScheme,
@@ -37,6 +36,7 @@ from handover_marl.learning.schemes import (
     RawGiverScheme,
     RawReceiverScheme,
 )
+from handover_marl.learning.policy_files import OBSERVATION
 from handover_marl.policies.policy import PolicyContext
 from handover_marl.policies.registry import import_reference
 
@@ -146,6 +146,6 @@ def make_array_scheme(
     return CustomScheme(agent, own, context, count, arrays, choice if isinstance(choice, str) else "")
 
 
-def make_scheme(agent: str, choice: SchemeLike, context: PolicyContext) -> SingleEpisodeScheme:
+def make_action_scheme(agent: str, choice: SchemeLike, context: PolicyContext) -> SingleEpisodeScheme:
     """Make an agent's action scheme for a single episode; arguments are those of `make_array_scheme`."""
     return SingleEpisodeScheme(make_array_scheme(agent, choice, context, LowestCostGraspSelector(context, 1), 1))

@@ -5,7 +5,7 @@ the object, it slips out of such a grasp within a few hundredths of a second.
 """
 
 import functools
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,17 +13,17 @@ import numpy.typing as npt
 
 from handover_marl.geometry.model_files.meshes import read_collision_mesh
 from handover_marl.geometry.poses import inverse_transform_points
-from handover_marl.planning.robot_clearance import Spheres, compute_flange_clearances, sample_surface_spheres
-from handover_marl.policies.policy import PolicyContext
-from handover_marl.receivers.grasp_library import load_hand_poses
-from handover_marl.receivers.reactive.config import GraspSelectorConfig, ReactiveConfig
-from handover_marl.receivers.reactive.grasps import (
+from handover_marl.grasps.known_grasps import load_hand_poses
+from handover_marl.grasps.validation import (
     QUICK_PREPARATION,
+    GraspPreparationConfig,
     ValidatedGrasps,
     has_shipped_record,
     perturb_grasps,
     validate_grasps,
 )
+from handover_marl.planning.robot_clearance import Spheres, compute_flange_clearances, sample_surface_spheres
+from handover_marl.policies.policy import PolicyContext
 
 Array = npt.NDArray[np.float64]
 
@@ -32,12 +32,17 @@ _TIP_Z, _HALF_WIDTH, _ROOT_Z, _OPEN_Y = 0.1126, 0.0105, 0.058, 0.041
 # Costs of a grasp that has failed its validation, and of one with a pad margin of 0 (s); pad margin from which on the
 # second cost is 0 (m).
 _UNSTABLE_COST, _FINGERTIP_COST, _DESIRED_PAD_MARGIN = 5.0, 4.0, 0.008
+#: Cost of a grasp that does not always hold the object (s): factor on 1 minus its success rate.
+PARTIAL_HOLD_COST = 2.0
 # Minimum pad margin of an offset grasp (m).
 _MIN_OFFSET_PAD_MARGIN = 0.004
+# Number and radius (m) of the spheres that approximate the object, and number of random points on its surface.
+_N_SURFACE_SPHERES, _SURFACE_RADIUS, _N_SURFACE_POINTS = 200, 0.01, 5000
 # Number and radius (m) of the spheres that approximate each of the other objects.
 _N_OBSTACLE_SPHERES, OBSTACLE_RADIUS = 80, 0.015
 # Depth to which a soft pad touches surface points behind the first contact (m).
 _PAD_SOFTNESS = 0.0015
+_DEFAULT_PREPARATION = GraspPreparationConfig()
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +65,9 @@ class GraspableObject:
     center: Array
 
 
-def load_graspable_object(context: PolicyContext, object_name: str, config: ReactiveConfig) -> GraspableObject:
+def load_graspable_object(
+    context: PolicyContext, object_name: str, preparation: GraspPreparationConfig = _DEFAULT_PREPARATION
+) -> GraspableObject:
     """Load the surface and the validated grasps, perhaps none, of an object class; cached.
 
     Grasps without a stored record are validated in simulation, which takes 20 to 90 s, or a few seconds for datasets
@@ -68,25 +75,25 @@ def load_graspable_object(context: PolicyContext, object_name: str, config: Reac
     """
     urdf, known = context.find_object_urdf(object_name), load_hand_poses(context.load_grasps, object_name)
     if known is None:
-        return _load_graspable_object(urdf, context.panda_urdf, None, config)
+        return _load_graspable_object(urdf, context.panda_urdf, None, preparation)
     # Options of the user are kept; what an earlier run has cached has no influence.
-    is_quick = context.quick_validation and config.preparation == ReactiveConfig().preparation
-    if is_quick and not has_shipped_record(urdf, context.panda_urdf, known, config.preparation):
-        config = replace(config, preparation=QUICK_PREPARATION)
-    return _load_graspable_object(urdf, context.panda_urdf, known.tobytes(), config)
+    is_quick = context.quick_validation and preparation == _DEFAULT_PREPARATION
+    if is_quick and not has_shipped_record(urdf, context.panda_urdf, known, preparation):
+        preparation = QUICK_PREPARATION
+    return _load_graspable_object(urdf, context.panda_urdf, known.tobytes(), preparation)
 
 
 # Environments with the same objects have different contexts.
 @functools.lru_cache(maxsize=256)
 def _load_graspable_object(
-    urdf: Path, panda_urdf: Path, known: bytes | None, config: ReactiveConfig
+    urdf: Path, panda_urdf: Path, known: bytes | None, preparation: GraspPreparationConfig
 ) -> GraspableObject:
     grasps = ValidatedGrasps(np.zeros((0, 7)), np.zeros(0))
     if known is not None:
-        grasps = validate_grasps(urdf, panda_urdf, np.frombuffer(known).reshape(-1, 7), config.preparation)
+        grasps = validate_grasps(urdf, panda_urdf, np.frombuffer(known).reshape(-1, 7), preparation)
     vertices, faces = read_collision_mesh(urdf)
-    surface = sample_surface_spheres(vertices, faces, config.n_surface_spheres, config.surface_radius)
-    points = collect_surface_points(vertices, faces, config.n_surface_points)
+    surface = sample_surface_spheres(vertices, faces, _N_SURFACE_SPHERES, _SURFACE_RADIUS)
+    points = collect_surface_points(vertices, faces, _N_SURFACE_POINTS)
     grasps = grasps.select(compute_flange_clearances(grasps.poses, surface) > 0.0)
     center = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     return GraspableObject(grasps, compute_pad_margins(grasps.poses, points), surface, points, center)
@@ -100,14 +107,14 @@ def load_obstacle(context: PolicyContext, object_name: str) -> Spheres:
 
 
 def find_offset_grasps(
-    graspable: GraspableObject, human_hand: Spheres, config: ReactiveConfig
+    graspable: GraspableObject, human_hand: Spheres, standoff: float
 ) -> tuple[ValidatedGrasps, Array]:
     """Return n offset copies of an object's grasps, clear of the person's hand, and their pad margins (n,) in m.
 
     Copies are tilted and shifted, see `perturb_grasps`. Those with a pad margin of at most 4 mm are left out, see
     `compute_pad_margins`. The spheres `human_hand` are in the object's frame.
     """
-    offset = perturb_grasps(graspable.grasps, graspable.points, human_hand, config.approach.standoff)
+    offset = perturb_grasps(graspable.grasps, graspable.points, human_hand, standoff)
     margins = compute_pad_margins(offset.poses, graspable.points)
     kept = margins > _MIN_OFFSET_PAD_MARGIN
     return offset.select(kept), margins[kept]
@@ -142,9 +149,9 @@ def compute_pad_margins(poses: Array, points: Array) -> Array:
     return margins
 
 
-def compute_hold_costs(grasps: ValidatedGrasps, pad_margins: Array, config: GraspSelectorConfig) -> Array:
+def compute_hold_costs(grasps: ValidatedGrasps, pad_margins: Array, partial_cost: float = PARTIAL_HOLD_COST) -> Array:
     """Return costs (n,) in s of grasps: higher for low success rates and for small pad margins (n,) in m."""
     rates = grasps.success_rates
-    costs: Array = _UNSTABLE_COST * (rates == 0.0) + config.partial_hold_cost * (1.0 - rates)
+    costs: Array = _UNSTABLE_COST * (rates == 0.0) + partial_cost * (1.0 - rates)
     costs += _FINGERTIP_COST * np.maximum(0.0, 1.0 - pad_margins / _DESIRED_PAD_MARGIN)
     return costs

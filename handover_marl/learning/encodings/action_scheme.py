@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from handover_marl.episode.observations import Observation, add_episode_axis
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ONLY_ROW, AnyArray, ArrayFactory
-from handover_marl.learning.grasp_selector import LowestCostGraspSelector
+from handover_marl.grasps.selector import LowestCostGraspSelector
 from handover_marl.policies.policy import Action, PolicyContext
 
 Outputs = npt.NDArray[np.floating]
@@ -145,7 +145,7 @@ class RawScheme(ArrayScheme):
 
 
 class SingleEpisodeScheme:
-    """Action scheme of a single episode, made by `make_scheme`: wraps `scheme`, an `ArrayScheme` of n = 1 episode."""
+    """Action scheme of a single episode, made by `make_action_scheme` from an `ArrayScheme` of n = 1 episode."""
 
     def __init__(self, scheme: ArrayScheme) -> None:
         self.scheme = scheme

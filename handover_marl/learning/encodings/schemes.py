@@ -19,8 +19,8 @@ from handover_marl.geometry.rotations import (
 from handover_marl.geometry.vectors import limit_lengths
 from handover_marl.givers.array_giver import compute_withdrawals, is_hand_previewed
 from handover_marl.givers.reactions import HandoverPoseVariation
-from handover_marl.learning.action_scheme import ArrayScheme, InvertibleScheme, RawScheme
-from handover_marl.learning.array_features import compute_handover_frames, rotate_to_frame, rotate_to_world
+from handover_marl.learning.encodings.action_scheme import ArrayScheme, InvertibleScheme, RawScheme
+from handover_marl.learning.encodings.features import compute_handover_frames, rotate_to_frame, rotate_to_world
 from handover_marl.policies.batch import make_giver_actions
 from handover_marl.policies.policy import PolicyContext
 

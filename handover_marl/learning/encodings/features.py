@@ -24,7 +24,7 @@ from handover_marl.geometry.rotations import (
 )
 from handover_marl.geometry.vectors import compute_lengths
 from handover_marl.geometry.ycb import LARGEST_YCB_CLASS
-from handover_marl.learning.grasp_selector import LowestCostGraspSelector
+from handover_marl.grasps.selector import LowestCostGraspSelector
 from handover_marl.policies.policy import PolicyContext
 
 #: Factors by which features scale positions, and translations to a grasp (1/m).

@@ -14,8 +14,8 @@ from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE
 from handover_marl.errors import EncodingError, HandoverError, OptionError
 from handover_marl.geometry.arrays import AnyArray, ArrayFactory, to_numpy
-from handover_marl.learning.action_scheme import ActionScheme, ArrayScheme, Outputs
-from handover_marl.learning.array_features import ArrayFeatures
+from handover_marl.learning.encodings.action_scheme import ActionScheme, ArrayScheme, Outputs
+from handover_marl.learning.encodings.features import ArrayFeatures
 from handover_marl.policies.policy import Action, PolicyContext
 
 FEATURES, SCHEME = "features", "action scheme"
@@ -151,8 +151,7 @@ class CustomScheme(ArrayScheme):
     ) -> None:
         if not callable(choice) or (isinstance(choice, type) and not issubclass(choice, ActionScheme)):
             raise OptionError(
-                f"{SCHEME} must be a name, a subclass of handover_marl.learning.action_scheme.ActionScheme or a "
-                f"function, got {choice!r}"
+                f"{SCHEME} must be a name, a subclass of handover_marl.ActionScheme or a function, got {choice!r}"
             )
         self.agent, self.name = agent, name or _get_name(choice)  # type: ignore[misc]
         self._label, self._arrays = f"{SCHEME} {self.name!r}", arrays

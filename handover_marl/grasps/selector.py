@@ -23,11 +23,10 @@ from handover_marl.geometry.rotations import (
     rotation_vectors_from_quaternions,
 )
 from handover_marl.geometry.vectors import compute_box_distances, compute_lengths, limit_lengths
+from handover_marl.grasps.graspable_object import compute_hold_costs, load_graspable_object
+from handover_marl.grasps.known_grasps import GraspTable
 from handover_marl.planning.robot_clearance import CLOSING_BOX, GRIPPER_BOX_CENTERS, GRIPPER_BOX_HALF_SIZES
 from handover_marl.policies.policy import PolicyContext
-from handover_marl.receivers.grasp_library import GraspTable
-from handover_marl.receivers.reactive.config import ReactiveConfig
-from handover_marl.receivers.reactive.grasp_contact import compute_hold_costs, load_graspable_object
 
 Array = npt.NDArray[np.float64]
 
@@ -142,11 +141,10 @@ def load_validated_grasps(context: PolicyContext, object_class: int) -> tuple[Ar
     approach axis. Hold costs (n,) in s are higher for grasps from which the object may slip. The validation in
     simulation takes minutes the first time for an object of the user.
     """
-    config = ReactiveConfig()
-    graspable = load_graspable_object(context, context.object_names[object_class], config)
+    graspable = load_graspable_object(context, context.object_names[object_class])
     if not len(graspable.grasps.poses):
         return None
-    costs = compute_hold_costs(graspable.grasps, graspable.pad_margins, config.selection)
+    costs = compute_hold_costs(graspable.grasps, graspable.pad_margins)
     poses = graspable.grasps.poses
     return np.concatenate([poses, compose(poses, np.array(HALF_TURN))]), np.concatenate([costs, costs])
 

@@ -1,0 +1,1 @@
+"""Grasps of objects: known ones, their validation in simulation, and their selection."""

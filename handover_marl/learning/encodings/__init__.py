@@ -1,0 +1,1 @@
+"""Features of observations, and action schemes, which convert network outputs to actions."""
