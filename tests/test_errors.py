@@ -13,6 +13,7 @@ import pytest
 import handover_marl
 from handover_marl import evaluate_pair, givers, receivers
 from handover_marl.datasets.custom.scene_file import CustomObject
+from handover_marl.datasets.generated.config import GeneratedConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.loop import call_policy
 from handover_marl.episode.spaces import check_receiver_action
@@ -90,6 +91,7 @@ def look_up(key: str) -> None:
     [
         (open_dataset, "generated:n=4", SceneError, "random test has no scenes; choose another split"),
         (open_dataset, f"generated:n={10**400}", OptionError, "n of GeneratedConfig must be an integer from 1 to"),
+        (lambda n: GeneratedConfig(n=n), 1.5, OptionError, "n of GeneratedConfig must be an integer"),
         (open_dataset, f"own:{'a' * 5000}", OptionError, "more than 255 bytes"),
         (lambda period: handover_marl.parallel_env(control_period=period), 1 / 30, OptionError, "take 0.033"),
         (lambda period: handover_marl.parallel_env(control_period=period), 100, OptionError, "for 100 ms pass 0.1"),

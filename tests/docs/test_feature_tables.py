@@ -9,15 +9,10 @@ import pytest
 from gymnasium import spaces
 from scipy.spatial.transform import Rotation
 
+from handover_marl import make_action_scheme
 from handover_marl.episode.observations import giver_observation_space, state_space
 from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
-from handover_marl.learning.encodings.registry import (
-    count_features,
-    count_outputs,
-    list_features,
-    list_schemes,
-    make_action_scheme,
-)
+from handover_marl.learning.encodings.registry import count_features, count_outputs, list_features, list_schemes
 from handover_marl.learning.encodings.schemes import HandoverPoseScheme
 from tests.docs.pages import REPOSITORY, checked_table, marks
 from tests.learning.array_encodings import CONTEXT, SingleFeatures, select_grasp
