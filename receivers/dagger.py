@@ -2,12 +2,11 @@
 
 from pathlib import Path
 
-import handover_marl.receivers
 from handover_marl.learning.adapters.function_policy import FunctionPolicy
 from handover_marl.learning.policy_files import read_policy
 from handover_marl.policies.policy import PolicyContext
 
-_SHIPPED = Path(handover_marl.receivers.__file__).parent / "policies" / "dagger.npz"
+_SHIPPED = Path(__file__).parent / "policies" / "dagger.npz"
 
 
 class DaggerReceiver(FunctionPolicy):
