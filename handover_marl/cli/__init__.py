@@ -43,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print_message(str(error))
         return 2
     except KeyboardInterrupt:
-        print_message("stopped; with --out, the same command resumes from here")
+        print_message("stopped; with --out, the same command without --overwrite resumes from here")
         return 130
     except BrokenPipeError:
         discard_output()

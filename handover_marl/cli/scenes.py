@@ -134,7 +134,8 @@ def add_split(
         folder: Folder of custom scenes.
         name: Name of the setup.
         by: Division by object, by person, or at random.
-        val: Share of the val split, or names of its objects or persons, separated by commas.
+        val: Share of the val split, or names of its objects or persons, separated by commas. A comma after a single
+            number makes it a name: 0,
         test: Share of the test split, or names of its objects or persons.
         seed: Random seed.
     """
@@ -173,4 +174,4 @@ def _parse_share(text: str) -> float | tuple[str, ...]:
     try:
         return float(text)
     except ValueError:
-        return tuple(text.split(","))
+        return tuple(name for name in text.split(",") if name)

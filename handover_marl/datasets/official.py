@@ -228,8 +228,9 @@ class OfficialDataset(Dataset):
         super().__init__(robot)
         self.data_dir = check_path("data_dir", data_dir)
         for folder in (self.data_dir, self.data_dir / CACHE_FOLDER, self.data_dir / "assets"):
-            if not folder.is_dir():
-                fault = "is a file, not a folder" if folder.is_file() else "does not exist"
+            # Unlike `Path.is_dir`, these functions do not raise errors for folders that may not be read.
+            if not os.path.isdir(folder):  # noqa: PTH112
+                fault = "is a file, not a folder" if os.path.isfile(folder) else "does not exist"  # noqa: PTH113
                 raise DataNotFoundError(
                     f"data folder {folder} {fault}. Give the folder that holds dex-ycb-cache/ and assets/ "
                     "(HandoverSim's handover/data) as data_dir=, --data-dir or HANDOVER_MARL_DATA."

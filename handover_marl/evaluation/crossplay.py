@@ -3,6 +3,7 @@
 import hashlib
 import itertools
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -199,7 +200,11 @@ def crossplay(
         for giver in resolved_givers
         for receiver in resolved_receivers
     }
-    reports = run_evaluations([(format_pair_folder(pair), each) for pair, each in configs.items()], execution)
+    folders = list(map(format_pair_folder, configs))
+    if len(set(folders)) < len(folders):
+        (folder, _), *_ = Counter(folders).most_common(1)
+        raise OptionError(f"givers and receivers must have labels whose folders differ, got {folder} twice; rename one")
+    reports = run_evaluations(list(zip(folders, configs.values(), strict=True)), execution)
     result = CrossPlay(dict(zip(configs, reports, strict=True)))
     if execution.folder is not None:
         result.write(execution.folder)

@@ -180,10 +180,11 @@ def verify(
         raise ResultsError(f"{path} has no results of these scenes (000.npz, 001.npz, ...)")
     if giver is None:
         giver, registered = metadata.giver, list_available("giver")
-        if ":" not in giver and giver not in registered:
+        # The label of a policy file has the name and hash of the file, not its path.
+        if giver.startswith("learned:") or (":" not in giver and giver not in registered):
             raise OptionError(
                 f"giver must be passed: {path} names {giver!r}, which is not registered; pass giver='module:Class' "
-                "(--giver module:Class)"
+                "(--giver module:Class), or giver='learned:FILE' for a policy file"
             )
         advice = f"pass giver={giver!r} (--giver {giver}), or "
         check_stored_reference(path, "giver", giver, trust, registered, advice)

@@ -24,7 +24,7 @@ from handover_marl.execution.options import check_path
 from handover_marl.execution.reading import read_plain_file
 from handover_marl.policies.hashing import hash_policy
 from handover_marl.policies.policy import Action, Giver, Policy, PolicyContext, Receiver
-from handover_marl.policies.reference import parse_policy, read_policy_file
+from handover_marl.policies.reference import list_policy_files, parse_policy, read_policy_file
 from handover_marl.policies.registry import check_stored_reference, list_available
 
 #: Folder of the shipped populations.
@@ -139,9 +139,9 @@ def load_population(population: str | os.PathLike[str] = DEFAULT_POPULATION, tru
             check_stored_reference(path, agent, partner.policy, trust, list_available(agent))
             for word in re.split("[:,=]", partner.policy):
                 # The class may be one that is not installed here; which options name files is not known.
-                if "/" in word or (Path(word).suffix and Path(word).is_file()):
-                    file = Path(word.replace(_FOLDER, str(path.parent))).expanduser()
-                    digest.update(hashlib.sha256(read_policy_file(file)).digest())
+                if "/" in word or (Path(word).suffix and Path(word).exists()):
+                    for file in list_policy_files(Path(word.replace(_FOLDER, str(path.parent))).expanduser()):
+                        digest.update(hashlib.sha256(read_policy_file(file)).digest())
     return replace(found, content_hash=digest.hexdigest()[:12])
 
 

@@ -173,11 +173,13 @@ class PolicyReference:
         for option, value in self.options:
             if option in self.policy_class.file_options and isinstance(value, (str, os.PathLike)):
                 named += [(option, Path(value))] if value not in self.policy_class.non_file_values else []
-        found = []
-        for option, path in ((option, path.expanduser()) for option, path in named):
-            files = sorted(path.rglob("*")) if path.is_dir() else [path] if path.exists() or not option else []
-            found += [(option, file.relative_to(path.parent).as_posix(), file) for file in files if not file.is_dir()]
-        return [(option, name, read_policy_file(file)) for option, name, file in found]
+        paths = [(option, path.expanduser()) for option, path in named]
+        return [
+            (option, file.relative_to(path.parent).as_posix(), read_policy_file(file))
+            for option, path in paths
+            if path.exists() or not option
+            for file in list_policy_files(path)
+        ]
 
     def _load(self) -> Any:
         if self.pickled:
@@ -185,6 +187,11 @@ class PolicyReference:
         if ":" in self.name:
             return import_reference(self.agent, self.name)
         return load_registered(self.agent, self.name)
+
+
+def list_policy_files(path: Path) -> list[Path]:
+    """Return the files in a folder and its subfolders, sorted; [path] for the path of a file, even if there is none."""
+    return sorted(file for file in path.rglob("*") if not file.is_dir()) if path.is_dir() else [path]
 
 
 def read_policy_file(path: Path) -> bytes:

@@ -92,7 +92,7 @@ def test_ctrl_c(fake_data: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
 
     monkeypatch.setattr(episode_runner, "run_episode", interrupted)
     assert main(["benchmark", "--split", "val", "--scenes", "9", "--data-dir", str(fake_data)]) == 130
-    assert "same command resumes" in capsys.readouterr().err
+    assert "same command without --overwrite resumes" in capsys.readouterr().err
 
 
 @pytest.mark.slow

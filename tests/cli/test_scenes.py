@@ -39,6 +39,8 @@ def test_commands_build_a_folder(work: Path, capsys: pytest.CaptureFixture[str])
         np.testing.assert_allclose(arrays["object_dof"][0, 0, 2], 0.92 + 0.081, atol=1e-5)
     assert "scene ben/000001: box; no hand" in capsys.readouterr().out
     assert main(["scenes", "add-split", "mine", "people", "--by", "person", "--val", "ben", "--test", "0"]) == 0
+    assert main(["scenes", "add-split", "mine", "none", "--by", "person", "--val", "0,"]) == 2
+    assert "'0'" in capsys.readouterr().err
     assert main(["scenes", "check", "mine"]) == 0
     output = capsys.readouterr().out
     assert "own data: mine, 2 scenes" in output

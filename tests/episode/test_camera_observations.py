@@ -69,9 +69,6 @@ def places_in(rows: npt.NDArray[np.float32], cloud: npt.NDArray[np.float32]) -> 
     return [where[row.tobytes()] for row in rows]
 
 
-# -------------------------------------------------------------------------------------------------- names and spaces
-
-
 def test_spaces_are_as_documented() -> None:
     assert camera_observation_space(STATE) == {}
     points, images, clouds = (
@@ -117,9 +114,6 @@ def test_a_combination_has_what_its_parts_have(world: World) -> None:
         alone = [make_wrist_camera(world, **options).observe(part, world, STEPS) for part in parts]
         assert_equal(seen, {key: value for observation in alone for key, value in observation.items()})
         assert "wrist_segmentation" not in seen
-
-
-# ------------------------------------------------------------------------------------------------ points and images
 
 
 @pytest.mark.slow
@@ -169,9 +163,6 @@ def test_scene_clouds_have_points_of_other_objects(world: World, camera: CameraN
     assert len(cloud) == count > 20
     places = places_in(seen["wrist_other_points"][: min(count, 1024)], cloud)
     assert places == sorted(set(places))
-
-
-# ------------------------------------------------------------------------------------ independence of earlier images
 
 
 LOOKS: list[Callable[[CameraSensor, World], object]] = [
@@ -231,9 +222,6 @@ def test_arrays_may_be_written_to(world: World) -> None:
             value[...] = 7
         assert_equal(look(wrist_camera), look(fresh))
         assert_equal(look(wrist_camera), look(fresh))
-
-
-# ----------------------------------------------------------------------------------------------------- camera noise
 
 
 def test_a_camera_without_faults_is_perfect(world: World) -> None:

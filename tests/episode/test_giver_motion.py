@@ -326,9 +326,6 @@ def test_an_offset_that_passes_its_set_point_returns() -> None:
     assert not speeds[:, -1].any()
 
 
-# ------------------------------------------------------------------------------------------------- givers on tensors
-
-
 @pytest.fixture(scope="module")
 def tensors() -> ArrayFactory:
     pytest.importorskip("torch", reason="needs the extra `train`")

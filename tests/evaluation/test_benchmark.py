@@ -27,7 +27,12 @@ from handover_marl.evaluation.metadata import read_result_metadata
 from handover_marl.evaluation.reports.report import load_report
 from handover_marl.evaluation.results import find_recordings
 from handover_marl.givers import Giver
+from handover_marl.givers.variations import ReplayGiver
+from handover_marl.receivers.baselines import HoldReceiver
 from tests.evaluation.quick import HORIZON, SHORT, QuickReceiver, run, untimed
+
+# Names of givers and receivers; the names of two pairs, joined by "-", are equal.
+NAMES = ((ReplayGiver, ("replay", "replay-late")), (HoldReceiver, ("late-hold", "hold")))
 
 
 @pytest.mark.slow
@@ -40,6 +45,7 @@ def test_options_are_checked_and_stated(fake_data: Path, tmp_path: Path) -> None
     assert run(fake_data, world_config=noisy).metadata.world.endswith(" initial_joint_noise=0.1")
     with pytest.raises(ResultsError, match=r"another evaluation .*world"):
         run(fake_data, tmp_path, world_config=noisy)
+    own = [[type("Own", (base,), {"name": name}) for name in names] for base, names in NAMES]
     official: Any = handover_marl.benchmark
     for call, error, message in (
         (lambda: run(fake_data, tmp_path, shard="1/2", overwrite=True), OptionError, "left out with a shard, got both"),
@@ -47,6 +53,7 @@ def test_options_are_checked_and_stated(fake_data: Path, tmp_path: Path) -> None
         (lambda: official(scene=[9]), UnknownArgumentError, "argument 'scene'; did you mean 'scenes'\\?$"),
         (lambda: official(world_config=SHORT), OptionError, r"world_config must be left out of benchmark\(\).*_pair"),
         (lambda: official(data_dir=fake_data, giver="noisy"), OptionError, "giver must be left out of benchmark"),
+        (lambda: handover_marl.crossplay(*own), OptionError, "folders differ, got replay-late-hold twice"),
         (lambda: handover_marl.crossplay("replay", "hold", giver="noisy"), OptionError, "got noisy; name it in givers"),
     ):
         with pytest.raises(error, match=message):

@@ -7,7 +7,7 @@ from PIL import Image
 
 from handover_marl import givers, receivers
 from handover_marl.cli import main, runs
-from handover_marl.config import CameraConfig
+from handover_marl.config import CameraConfig, ProtocolConfig, WorldConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import run_episode
@@ -46,7 +46,9 @@ def test_key_frames_span_the_episode(tmp_path: Path, monkeypatch: pytest.MonkeyP
         return render(episode, camera)
 
     monkeypatch.setattr(Episode, "render", noted)
-    shown = pictures(draw(tmp_path / "new" / "sheet.png", key_frames=4))
+    # The time limit of the rules does not end a scene without a receiver.
+    short = WorldConfig(protocol=ProtocolConfig(horizon_steps=300))
+    shown = pictures(draw(tmp_path / "new" / "sheet.png", key_frames=4, world_config=short))
     end = SyntheticDataset().load_scene(209).n_frames + 500
     assert steps == np.linspace(0, end, 4).round().astype(int).tolist()
     assert len(shown) == 4

@@ -241,9 +241,11 @@ def test_a_last_run_of_fewer_scenes(tmp_path: Path) -> None:
     assert (found.is_verified, found.n_unreported, found.scenes) == (True, 1, (SCENE, 19))
     assert verify(tmp_path, workers=1, progress=False, world_config=NOISY, scenes=[19]).scenes == (19,)
     path = tmp_path / "config.yaml"
-    path.write_text(path.read_text().replace("giver: replay", "giver: wary"))
-    with pytest.raises(OptionError, match="'wary', which is not registered; pass giver="):
-        verify(tmp_path, workers=1, progress=False, world_config=NOISY)
+    text = path.read_text()
+    for giver in ("wary", "learned:wary@1234"):
+        path.write_text(text.replace("giver: replay", f"giver: {giver}"))
+        with pytest.raises(OptionError, match=f"'{giver}', which is not registered; pass giver="):
+            verify(tmp_path, workers=1, progress=False, world_config=NOISY)
 
 
 @pytest.mark.slow

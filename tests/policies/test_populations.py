@@ -38,16 +38,18 @@ def test_the_hash_covers_the_content_and_policy_files(tmp_path: Path) -> None:
     assert found.get_policy(found.givers[0]) == f"learned:{tmp_path}/giver.npz"
 
 
+@pytest.mark.parametrize("file", ["weights.pth", "weights.pth/actor.pth"])
 @pytest.mark.parametrize("folder", ["{folder}/", ""])
 @pytest.mark.parametrize("option", ["learned:", "gaddpg:wait=1,weights=", "not_installed.robots:MyReceiver:weights="])
 def test_the_hash_covers_the_files_that_policies_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, option: str, folder: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, option: str, folder: str, file: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    (tmp_path / file).parent.mkdir(exist_ok=True)
     path = write_population(tmp_path, receivers=[RECEIVERS[0] | {"policy": f"{option}{folder}weights.pth"}])
     hashes = set()
     for content in (b"1", b"2"):
-        (tmp_path / "weights.pth").write_bytes(content)
+        (tmp_path / file).write_bytes(content)
         hashes.add(load_population(path, trust=True).content_hash)
     assert len(hashes) == 2
 

@@ -188,8 +188,6 @@ def test_no_contact_with_the_hand_is_missed(scene_id: int, seed: int, touches: b
     assert abs(exact[1] - fast[1]) <= 3
 
 
-# ----------------------------------------------------------------------------------------------- many worlds at once
-
 #: The robot starts so near to the hand of scene 209 that it touches the hand after some 15 steps.
 NEAR = tuple((START + np.float32(0.97) * (INTO_THE_HAND - START)).tolist())
 NEAR_CONFIG = WorldConfig(physics=PhysicsConfig(panda=replace(PandaConfig(), start_joints=NEAR)))
@@ -248,9 +246,6 @@ def test_one_world_of_many_is_that_of_a_single_world(backend: str) -> None:
                 # Single precision may find the contact some steps earlier.
                 atol = 3 if key == "steps" else 0.1 if key in ("robot_joint_velocity", "time") else 1e-3
                 np.testing.assert_allclose(state[key], value, rtol=0, atol=atol, err_msg=key)
-
-
-# --------------------------------------------------------------------------------------------------- choice of engines
 
 
 def test_engines_by_name(monkeypatch: pytest.MonkeyPatch) -> None:

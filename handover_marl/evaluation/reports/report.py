@@ -266,7 +266,9 @@ def load_report(folder: str | os.PathLike[str]) -> Report:
         ResultsError: The path does not exist, or a file is not an official result.
     """
     path = check_path("folder", folder)
-    metadata, results = read_episode_file(path) if path.is_file() else (read_result_metadata(path), read_results(path))
+    # Unlike `Path.is_file`, this is False if the path may not be read.
+    is_file = os.path.isfile(path)  # noqa: PTH113
+    metadata, results = read_episode_file(path) if is_file else (read_result_metadata(path), read_results(path))
     size = metadata.split_size
     if results[-1].index >= size:
         raise ResultsError(

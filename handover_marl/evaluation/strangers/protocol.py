@@ -80,17 +80,24 @@ def strangers(
     if config.scenes is None:
         scenes = dataset.list_scenes(dataset.resolve_setup(config.setup), config.split)
         options["scenes"] = select_scenes_evenly(scenes, n_scenes)
-    folder = execution.folder
-    if folder is not None and not execution.overwrite and (folder / ENTRY_FILE).is_file():
-        stored = read_strangers_entry(folder)
-        if (stored.population, stored.partner_split) != (found.label, partners):
-            raise OptionError(
-                f"out must be a folder for population {found.label}, families of {partners}, got {folder} with "
-                f"{stored.population}, families of {stored.partner_split}; choose another folder"
-            )
     trainings = resolve_policies(agent, policies, dataset, config, execution.trust)
     if len({policy.code_hash for policy in trainings}) < len(trainings):
         raise OptionError(f"{agent} must name different policies, got two with the same code and weights; drop one")
+    folder = execution.folder
+    if folder is not None and not execution.overwrite and (folder / ENTRY_FILE).is_file():
+        stored = read_strangers_entry(folder)
+        labels = {policy.label for policy in trainings}
+        if (stored.population, stored.partner_split, stored.agent) != (found.label, partners, agent):
+            raise OptionError(
+                f"out must be a folder for {agent}s with population {found.label}, families of {partners}, got "
+                f"{folder} for {stored.agent}s with {stored.population}, families of {stored.partner_split}; choose "
+                "another folder"
+            )
+        if not stored.policies <= labels:
+            raise OptionError(
+                f"{agent} must include {', '.join(sorted(stored.policies - labels))}, which {folder} holds; choose "
+                "another folder"
+            )
     givers, receivers = (trainings, others) if agent == "giver" else (others, trainings)
     result = crossplay(givers, receivers, **options)
     report = make_report(result, found, partners, agent)

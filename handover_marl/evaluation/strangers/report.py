@@ -198,7 +198,8 @@ class StrangersReport(TabularResult):
     def write(self, folder: Path) -> None:
         """Write population, agent and pairs (`strangers.json`) and the tables (`strangers.md`) to an output folder."""
         pairs = [(report.metadata.giver, report.metadata.receiver) for report in self.reports.values()]
-        entry = StrangersEntry(self.population, self.partner_split, self.agent, pairs)
+        scenes = [int(episode.scene_id or 0) for episode in self.first_report.episodes]
+        entry = StrangersEntry(self.population, self.partner_split, self.agent, pairs, scenes)
         write_atomically(folder / ENTRY_FILE, json.dumps(entry._asdict(), indent=1) + "\n")
         write_atomically(folder / TABLES_FILE, f"# Strangers\n\n{self}\n")
 
@@ -237,12 +238,18 @@ def make_report(crossplay: CrossPlay, population: Population, split: str, agent:
 
 
 class StrangersEntry(NamedTuple):
-    """Content of `strangers.json`: population, families of partners, agent, and labels (giver, receiver) of pairs."""
+    """Content of `strangers.json`; `pairs` are labels (giver, receiver), `scenes` the scene numbers of the last run."""
 
     population: str
     partner_split: str
     agent: str
     pairs: list[PolicyPair]
+    scenes: list[int]
+
+    @property
+    def policies(self) -> set[str]:
+        """Labels of the evaluated policies."""
+        return {giver if self.agent == "giver" else receiver for giver, receiver in self.pairs}
 
 
 def read_strangers_entry(folder: Path) -> StrangersEntry:
@@ -252,7 +259,7 @@ def read_strangers_entry(folder: Path) -> StrangersEntry:
         content = json.loads(read_plain_file(path, _MAX_BYTES))
         pairs = [(str(giver), str(receiver)) for giver, receiver in content["pairs"]]
         population, partner_split, agent = (str(content[key]) for key in ("population", "partner_split", "agent"))
-        entry = StrangersEntry(population, partner_split, agent, pairs)
+        entry = StrangersEntry(population, partner_split, agent, pairs, [int(scene) for scene in content["scenes"]])
         if entry.agent not in OTHER_AGENT:
             raise ValueError(f"agent must be one of {', '.join(OTHER_AGENT)}")
     except FileNotFoundError as error:
@@ -272,14 +279,16 @@ def read_report(folder: Path, population: Population) -> StrangersReport:
         raise OptionError(
             f"{folder} must be of population {population.label}, got {entry.population}; pass the population's file"
         )
-    return make_report(_load_crossplay(folder, entry.pairs), population, entry.partner_split, entry.agent)
+    return make_report(_load_crossplay(folder, entry), population, entry.partner_split, entry.agent)
 
 
-def _load_crossplay(folder: Path, pairs: Sequence[PolicyPair]) -> CrossPlay:
-    """Compute the cross-play of an output folder from the stored results of pairs."""
+def _load_crossplay(folder: Path, entry: StrangersEntry) -> CrossPlay:
+    """Compute the cross-play of an output folder from the stored results of its pairs in the scenes of the last run."""
     reports: dict[PolicyPair, Report] = {}
-    for pair in pairs:
-        report = reports[pair] = load_report(folder / format_pair_folder(pair))
+    for pair in entry.pairs:
+        report = load_report(folder / format_pair_folder(pair))
+        episodes = tuple(episode for episode in report.episodes if episode.scene_id in entry.scenes)
+        report = reports[pair] = replace(report, episodes=episodes)
         differences = list_differences(*map(describe_condition, (report, next(iter(reports.values())))))
         differences += [] if (report.metadata.giver, report.metadata.receiver) == pair else [f"labels {pair}"]
         if differences:

@@ -59,8 +59,12 @@ def test_report_and_files(fake_data: Path, population: Path, evaluated: Path, tm
     assert report.families == {"timing": [0, 1]}
     assert all(each.n_resumed == 2 for each in report.reports.values())
     assert (out / "strangers.json").read_text() == (evaluated / "strangers.json").read_text()
-    with pytest.raises(OptionError, match="out must be a folder for population"):
-        run(fake_data, population, out=out, partners="all")
+    for options in ({"partners": "all"}, {"receiver": "random"}):
+        with pytest.raises(OptionError, match=r"receivers with population|receiver must include hold"):
+            run(fake_data, population, out=out, **options)
+    # A run of fewer scenes: only these are read again.
+    run(fake_data, population, out=out, scenes=SCENES[1:])
+    assert read_report(out, load_population(population)).scores.shape == (1, 2, 1)
 
 
 def test_evenly_spaced_scenes_and_receivers_as_partners(

@@ -116,9 +116,6 @@ def test_worlds_change_their_scenes(request: pytest.FixtureRequest) -> None:
         camera.load_scene(0, replace(scenes[0].assets, panda=scenes[0].assets.hand))
 
 
-# ------------------------------------------------------------------------------------------------------ subsampling
-
-
 def sample(masks: list[Flags], seeds: list[int], steps: list[int], stream_id: int = 0) -> npt.NDArray[np.int_]:
     """Sample 1,024 pixels of images in which the pixels of masks (50176,) show the target."""
     segmentation = TENSORS.asarray(np.where(np.stack(masks), int(TARGET), int(HAND)), "uint8")
