@@ -57,9 +57,7 @@ class EvaluationConfig(SceneConfig):
         # Plain values, so that configurations can be compared, hashed and pickled.
         seed: object = self.seed
         if isinstance(seed, bool) or not isinstance(seed, Integral) or abs(int(seed)) >= _SEED_LIMIT:
-            raise OptionError(
-                f"seed must be an integer of at most 64 bits, got {type(seed).__name__} {shorten_text(seed)}"
-            )
+            raise OptionError(f"seed must be a 64-bit integer, got {type(seed).__name__} {shorten_text(seed)}")
         object.__setattr__(self, "seed", int(seed))
         if self.data_dir is not None:
             object.__setattr__(self, "data_dir", str(check_path("data_dir", self.data_dir)))
