@@ -33,6 +33,7 @@ HAND_DOF = 51
 OBJECT_DOF = 6
 MAX_OBJECTS = 5
 N_KEYPOINTS = 16
+_NO_LIMITS = (-math.inf, math.inf)
 
 
 class CheckedConfig:
@@ -43,7 +44,7 @@ class CheckedConfig:
     """
 
     #: Smallest and largest allowed number, both included, in fields that are not `bounded`.
-    default_limits: ClassVar[tuple[float, float]] = (-math.inf, math.inf)
+    default_limits: ClassVar[tuple[float, float]] = _NO_LIMITS
     #: Names of fields that are tuples of any length, perhaps nested. Their numbers must be finite, but have no limits.
     any_length: ClassVar[frozenset[str]] = frozenset()
     #: Pairs of field names; the value of the first field must be at most that of the second.
@@ -67,7 +68,7 @@ class CheckedConfig:
             elif isinstance(default, tuple):
                 object.__setattr__(self, part.name, _check_tuple(name, value, len(default), limits))
             else:
-                _check_number(name, value, isinstance(default, int), limits)
+                check_number(name, value, isinstance(default, int), limits)
             if part.metadata.get("in_steps"):
                 for time in np.ravel(value).tolist():
                     count_physics_steps(name, time)
@@ -107,7 +108,7 @@ def _check_tuple(name: str, value: Any, size: int, limits: tuple[float, float]) 
     if len(numbers) != size or isinstance(value, (str, bytes)):
         raise OptionError(f"{name} must be {size} numbers, got {value!r}")
     for number in numbers:
-        _check_number(f"every number in {name}", number, False, limits)
+        check_number(f"every number in {name}", number, False, limits)
     return numbers
 
 
@@ -116,16 +117,17 @@ def _check_nested_numbers(name: str, value: Any) -> None:
         for item in value:
             _check_nested_numbers(name, item)
     else:
-        _check_number(f"every number in {name}", value, False, (-math.inf, math.inf))
+        check_number(f"every number in {name}", value)
 
 
-def _check_number(name: str, value: Any, is_integer: bool, limits: tuple[float, float]) -> None:
+def check_number(name: str, value: Any, is_integer: bool = False, limits: tuple[float, float] = _NO_LIMITS) -> None:
+    """Raise OptionError unless `value` is a finite number, or an integer, within limits; messages call it `name`."""
     low, high = limits
     is_number = isinstance(value, Integral if is_integer else Real) and not isinstance(value, bool)
     # `math.isfinite` fails for integers beyond the range of floats.
     if not is_number or not -math.inf < value < math.inf or not low <= value <= high:
         text = "an integer" if is_integer else "a finite number"
-        if limits != (-math.inf, math.inf):
+        if limits != _NO_LIMITS:
             text += f" from {low:.15g} to {high:.15g}" if math.isfinite(high) else f" of at least {low:.15g}"
         # The text of a huge integer raises an error.
         raise OptionError(f"{name} must be {text}, got {shorten_text(value) if is_number else repr(value)}")

@@ -134,8 +134,8 @@ def add_split(
         folder: Folder of custom scenes.
         name: Name of the setup.
         by: Division by object, by person, or at random.
-        val: Share of the val split, or names of its objects or persons, separated by commas. A comma after a single
-            number makes it a name: 0,
+        val: Share of the val split, or names of its objects or persons, separated by commas. Write a comma after a
+            single name that is a number.
         test: Share of the test split, or names of its objects or persons.
         seed: Random seed.
     """

@@ -230,7 +230,7 @@ class OfficialDataset(Dataset):
         for folder in (self.data_dir, self.data_dir / CACHE_FOLDER, self.data_dir / "assets"):
             # Unlike `Path.is_dir`, these functions do not raise errors for folders that may not be read.
             if not os.path.isdir(folder):  # noqa: PTH112
-                fault = "is a file, not a folder" if os.path.isfile(folder) else "does not exist"  # noqa: PTH113
+                fault = "is a file, not a folder" if os.path.isfile(folder) else "does not exist or may not be read"  # noqa: PTH113
                 raise DataNotFoundError(
                     f"data folder {folder} {fault}. Give the folder that holds dex-ycb-cache/ and assets/ "
                     "(HandoverSim's handover/data) as data_dir=, --data-dir or HANDOVER_MARL_DATA."

@@ -10,8 +10,8 @@ from typing import Literal
 
 import numpy as np
 
-from handover_marl.errors import OptionError, SceneError, check_name
-from handover_marl.execution.files import shorten_text
+from handover_marl.errors import SceneError, check_name
+from handover_marl.execution.options import check_positive_integer
 
 N_SCENES = 1000
 SETUPS = ("s0", "s1", "s2", "s3")
@@ -97,7 +97,6 @@ def choose_scenes(split_ids: tuple[int, ...], scenes: Iterable[int] | None, spli
 
 def select_scenes_evenly(scene_ids: Sequence[int], n: int) -> tuple[int, ...]:
     """Return at most n of `scene_ids`, at evenly spaced positions; raise `OptionError` if n < 1."""
-    if isinstance(n, bool) or not isinstance(n, (int, np.integer)) or n < 1:
-        raise OptionError(f"number of scenes must be a whole number of at least 1, got {shorten_text(n)}")
-    chosen = np.unique(np.linspace(0, len(scene_ids) - 1, min(n, len(scene_ids))).round().astype(int))
+    count = min(check_positive_integer("number of scenes", n), len(scene_ids))
+    chosen = np.unique(np.linspace(0, len(scene_ids) - 1, count).round().astype(int))
     return tuple(scene_ids[number] for number in chosen.tolist())

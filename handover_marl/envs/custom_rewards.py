@@ -10,6 +10,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from handover_marl.config import check_number
 from handover_marl.envs.agents import AGENTS
 from handover_marl.envs.rewards import (
     REWARDS,
@@ -18,7 +19,6 @@ from handover_marl.envs.rewards import (
     StepData,
     TermNames,
     WeightedRewardSource,
-    is_finite_number,
 )
 from handover_marl.envs.transition import Transition
 from handover_marl.errors import HandoverError, OptionError, RewardError, check_name
@@ -59,8 +59,7 @@ def combine_rewards(*parts: RewardLike | tuple[float, RewardLike]) -> CombinedRe
     pairs = []
     for part in parts:
         weight, reward = part if isinstance(part, tuple) and len(part) == 2 else (1.0, part)
-        if not is_finite_number(weight):
-            raise OptionError(f"weight of a reward must be a finite number, got {weight!r}")
+        check_number("weight of a reward", weight)
         resolve_rewards(reward)
         pairs.append((float(weight), reward))
     return CombinedRewards(tuple(pairs))

@@ -15,8 +15,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
-import numpy as np
-
+from handover_marl.config import check_number
 from handover_marl.envs.agents import AGENTS
 from handover_marl.envs.transition import Transition
 from handover_marl.episode.referee import EpisodeStatus
@@ -185,12 +184,6 @@ TERMS: dict[str, Callable[[StepBatch], AnyArray]] = {
 _OUTCOMES, _FORCES = {"success", "contact", "drop"}, {"robot_object_force", "robot_hand_force"}
 
 
-def is_finite_number(value: object) -> bool:
-    """Return whether a value is a finite real number; True and False do not count as numbers."""
-    numbers = (int, float, np.integer, np.floating)
-    return isinstance(value, numbers) and not isinstance(value, bool) and math.isfinite(value)
-
-
 @dataclass(frozen=True)
 class RewardWeights:
     """Weights of reward terms, a value that `rewards` and `combine_rewards` accept.
@@ -216,12 +209,10 @@ class RewardWeights:
                 raise OptionError(f"{agent} of RewardWeights must be a dict of weights by term, got {weights!r}")
             for name, weight in weights.items():
                 check_name("reward term", name, TERMS)
-                if not is_finite_number(weight):
-                    raise OptionError(f"weight of term {name!r} of the {agent} must be a finite number, got {weight!r}")
+                check_number(f"weight of term {name!r} of the {agent}", weight)
             # Copies, which the caller does not change; numbers of NumPy cannot multiply tensors on a GPU.
             object.__setattr__(self, agent, {name: float(weight) for name, weight in weights.items()})
-        if not is_finite_number(self.gamma) or not 0.0 <= self.gamma <= 1.0:
-            raise OptionError(f"gamma of RewardWeights must be a number from 0 to 1, got {self.gamma!r}")
+        check_number("gamma of RewardWeights", self.gamma, limits=(0.0, 1.0))
         object.__setattr__(self, "gamma", float(self.gamma))
 
 

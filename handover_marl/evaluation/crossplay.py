@@ -3,7 +3,6 @@
 import hashlib
 import itertools
 import re
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -201,9 +200,8 @@ def crossplay(
         for receiver in resolved_receivers
     }
     folders = list(map(format_pair_folder, configs))
-    if len(set(folders)) < len(folders):
-        (folder, _), *_ = Counter(folders).most_common(1)
-        raise OptionError(f"givers and receivers must have labels whose folders differ, got {folder} twice; rename one")
+    if twice := [folder for folder in folders if folders.count(folder) > 1]:
+        raise OptionError(f"each giver and receiver must have a folder of its own, got {twice[0]} twice; rename one")
     reports = run_evaluations(list(zip(folders, configs.values(), strict=True)), execution)
     result = CrossPlay(dict(zip(configs, reports, strict=True)))
     if execution.folder is not None:

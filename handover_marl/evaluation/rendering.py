@@ -112,11 +112,9 @@ def render_scene(
     scene = dataset.load_scene(scene_id)
     if view == "wrist":
         resolve_renderer(config.renderer, config.physics)
-    until = None
-    if receiver is None:
-        until, world = scene.n_frames + _STILL_SCENE_DURATION_MS, config.world_config
-        protocol = replace(world.protocol, horizon_steps=max(until, world.protocol.horizon_steps))
-        config = replace(config, world_config=replace(world, protocol=protocol))
+    until, world = scene.n_frames + _STILL_SCENE_DURATION_MS if receiver is None else None, config.world_config
+    protocol = replace(world.protocol, horizon_steps=max(until or 0, world.protocol.horizon_steps))
+    config = replace(config, world_config=replace(world, protocol=protocol))
 
     def draw(episode: Episode) -> Picture:
         picture = draw_wrist_view(episode, camera) if view == "wrist" else episode.render(camera)

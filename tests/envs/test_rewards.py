@@ -230,7 +230,7 @@ def test_terms_of_tensors_equal_those_of_arrays() -> None:
         ({"giver": {"time": float("nan")}}, OptionError, "weight of term 'time' of the giver must be a finite number"),
         ({"giver": {"time": True}}, OptionError, "weight of term 'time' of the giver must be a finite number"),
         ({"receiver": 3.0}, OptionError, "receiver of RewardWeights must be a dict"),
-        ({"gamma": 1.5}, OptionError, "gamma of RewardWeights must be a number from 0 to 1"),
+        ({"gamma": 1.5}, OptionError, "gamma of RewardWeights must be a finite number from 0 to 1"),
     ],
 )
 def test_wrong_weights_are_named(weights: dict[str, Any], error: type[Exception], message: str) -> None:

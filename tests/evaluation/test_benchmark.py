@@ -53,7 +53,7 @@ def test_options_are_checked_and_stated(fake_data: Path, tmp_path: Path) -> None
         (lambda: official(scene=[9]), UnknownArgumentError, "argument 'scene'; did you mean 'scenes'\\?$"),
         (lambda: official(world_config=SHORT), OptionError, r"world_config must be left out of benchmark\(\).*_pair"),
         (lambda: official(data_dir=fake_data, giver="noisy"), OptionError, "giver must be left out of benchmark"),
-        (lambda: handover_marl.crossplay(*own), OptionError, "folders differ, got replay-late-hold twice"),
+        (lambda: handover_marl.crossplay(*own), OptionError, "folder of its own, got replay-late-hold twice"),
         (lambda: handover_marl.crossplay("replay", "hold", giver="noisy"), OptionError, "got noisy; name it in givers"),
     ):
         with pytest.raises(error, match=message):

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from handover_marl.assets.hand_model import SIDES, SUBJECTS
-from handover_marl.config import MAX_OBJECTS
+from handover_marl.config import MAX_OBJECTS, check_number
 from handover_marl.datasets.splits import SETUPS, SPLITS
 from handover_marl.errors import DataNotFoundError, OptionError, check_name
 from handover_marl.execution.files import shorten_text, write_atomically
@@ -62,12 +62,9 @@ class CustomObject:
         check_file_name("name of an object", self.name, CLASS_NAMES.values())
         # Class numbers are exact in float32 observations.
         for name, least in (("number", LARGEST_YCB_CLASS + 1), ("n_grasps", 0), ("n_candidates", 0)):
-            value, rule = getattr(self, name), f"an integer from {least} to {_MAX_INTEGER}"
-            if type(value) is not int or not least <= value <= _MAX_INTEGER:
-                raise OptionError(f"{name} of object {self.name} must be {rule}, got {value!r:.100}")
+            check_number(f"{name} of object {self.name}", getattr(self, name), True, (least, _MAX_INTEGER))
         for name in ("mass", "friction"):
-            if type(getattr(self, name)) not in (int, float):
-                raise OptionError(f"{name} of object {self.name} must be a number, got {getattr(self, name)!r:.100}")
+            check_number(f"{name} of object {self.name}", getattr(self, name))
 
     def __str__(self) -> str:
         grasps = f"{self.n_grasps} grasps held in simulation, of {self.n_candidates} that were tried"

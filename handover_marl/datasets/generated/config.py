@@ -31,9 +31,6 @@ _SPLIT_OF_REMAINDER: Final = np.array([0] * 8 + [1, 2])
 _OBJECT_OFFSET: Final = 1 << 40
 ItemKind = Literal["scene", "object", "person"]
 
-# Largest frequency of a kind of object; they are relative.
-_MAX_FREQUENCY: Final = 1_000_000
-
 
 @dataclass(frozen=True)
 class GeneratedConfig(CheckedConfig):
@@ -44,16 +41,14 @@ class GeneratedConfig(CheckedConfig):
     objects are on the table. The last five are relative frequencies of the kinds of procedural objects.
     """
 
-    default_limits: ClassVar[tuple[float, float]] = (0, _MAX_FREQUENCY)
+    default_limits: ClassVar[tuple[float, float]] = (0, 1_000_000)
     ordered_fields: ClassVar[tuple[tuple[str, str], ...]] = (("clutter_min", "clutter_max"),)
 
     n: int = bounded(1000, 1, 10_000_000)
-    # Seeds are 32-bit words.
-    seed: int = bounded(0, 0, 2**32 - 1)
+    seed: int = bounded(0, 0, 2**32 - 1)  # a 32-bit word
     family: str = DEFAULT
     procedural: float = bounded(0.5, 0, 1)
-    # Class numbers are exact in float32 observations.
-    objects: int = bounded(1000, 50, 100_000)
+    objects: int = bounded(1000, 50, 100_000)  # class numbers are exact in float32 observations
     people: int = bounded(50, 1, 100_000)
     left: float = bounded(0.5, 0, 1)
     clutter_min: int = bounded(2, 0)

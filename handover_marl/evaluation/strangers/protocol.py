@@ -86,17 +86,13 @@ def strangers(
     folder = execution.folder
     if folder is not None and not execution.overwrite and (folder / ENTRY_FILE).is_file():
         stored = read_strangers_entry(folder)
-        labels = {policy.label for policy in trainings}
-        if (stored.population, stored.partner_split, stored.agent) != (found.label, partners, agent):
+        kept = {giver if stored.agent == "giver" else receiver for giver, receiver in stored.pairs}
+        is_same = (stored.population, stored.partner_split, stored.agent) == (found.label, partners, agent)
+        if not is_same or not kept <= {policy.label for policy in trainings}:
             raise OptionError(
-                f"out must be a folder for {agent}s with population {found.label}, families of {partners}, got "
-                f"{folder} for {stored.agent}s with {stored.population}, families of {stored.partner_split}; choose "
-                "another folder"
-            )
-        if not stored.policies <= labels:
-            raise OptionError(
-                f"{agent} must include {', '.join(sorted(stored.policies - labels))}, which {folder} holds; choose "
-                "another folder"
+                f"out must be a folder of this {agent}, population {found.label} and families of {partners}; {folder} "
+                f"is of {stored.agent} {', '.join(sorted(kept))}, {stored.population} and families of "
+                f"{stored.partner_split}; choose another folder"
             )
     givers, receivers = (trainings, others) if agent == "giver" else (others, trainings)
     result = crossplay(givers, receivers, **options)

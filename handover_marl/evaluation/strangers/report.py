@@ -198,7 +198,7 @@ class StrangersReport(TabularResult):
     def write(self, folder: Path) -> None:
         """Write population, agent and pairs (`strangers.json`) and the tables (`strangers.md`) to an output folder."""
         pairs = [(report.metadata.giver, report.metadata.receiver) for report in self.reports.values()]
-        scenes = [int(episode.scene_id or 0) for episode in self.first_report.episodes]
+        scenes = [episode.scene_id for episode in self.first_report.episodes]
         entry = StrangersEntry(self.population, self.partner_split, self.agent, pairs, scenes)
         write_atomically(folder / ENTRY_FILE, json.dumps(entry._asdict(), indent=1) + "\n")
         write_atomically(folder / TABLES_FILE, f"# Strangers\n\n{self}\n")
@@ -244,12 +244,7 @@ class StrangersEntry(NamedTuple):
     partner_split: str
     agent: str
     pairs: list[PolicyPair]
-    scenes: list[int]
-
-    @property
-    def policies(self) -> set[str]:
-        """Labels of the evaluated policies."""
-        return {giver if self.agent == "giver" else receiver for giver, receiver in self.pairs}
+    scenes: Sequence[int | None]
 
 
 def read_strangers_entry(folder: Path) -> StrangersEntry:
@@ -273,17 +268,12 @@ def read_strangers_entry(folder: Path) -> StrangersEntry:
 
 
 def read_report(folder: Path, population: Population) -> StrangersReport:
-    """Compute the report of an output folder of `strangers` from the stored results of its episodes."""
+    """Compute the report of an output folder of `strangers` from its stored results in the scenes of the last run."""
     entry = read_strangers_entry(folder)
     if entry.population != population.label:
         raise OptionError(
             f"{folder} must be of population {population.label}, got {entry.population}; pass the population's file"
         )
-    return make_report(_load_crossplay(folder, entry), population, entry.partner_split, entry.agent)
-
-
-def _load_crossplay(folder: Path, entry: StrangersEntry) -> CrossPlay:
-    """Compute the cross-play of an output folder from the stored results of its pairs in the scenes of the last run."""
     reports: dict[PolicyPair, Report] = {}
     for pair in entry.pairs:
         report = load_report(folder / format_pair_folder(pair))
@@ -296,7 +286,7 @@ def _load_crossplay(folder: Path, entry: StrangersEntry) -> CrossPlay:
                 f"{folder / format_pair_folder(pair)} must have the {' and '.join(differences)} of the other pairs; "
                 "run the same command to resume"
             )
-    return CrossPlay(reports)
+    return make_report(CrossPlay(reports), population, entry.partner_split, entry.agent)
 
 
 def estimate_mean_score(scores: Array, families: Sequence[str] | None, minus: Array | None = None) -> Estimate:
