@@ -110,7 +110,7 @@ def look_up(key: str) -> None:
         (lambda period: evaluate_pair("replay", make_slow(period)), 50, OptionError, "for 100 ms set 0.1"),
         (lambda reset: act_alone({"receiver": {}}, reset), True, OptionError, r"pass observations\['receiver'\]"),
         (lambda reset: act_alone({}, reset), False, ResetNeededError, "call reset"),
-        (lambda mass: CustomObject("box", 22, mass, 0.5), "heavy", OptionError, "mass of object box must be a finite number"),
+        (lambda mass: CustomObject("box", 22, mass, 0.5), "heavy", OptionError, "object box must be a finite number"),
         (lambda number: CustomObject("box", number, 0.1, 0.5), "22", OptionError, "from 22 to 16777215, got .22"),
         (lambda name: handover_marl.benchmark(receiver=name), "cooperative", UnknownNameError, "is a giver"),
         (lambda name: evaluate_pair(name, "hold"), "reactive", UnknownNameError, "is a receiver"),
