@@ -154,7 +154,8 @@ def check(folder: Folder, /) -> None:
     from handover_marl.assets.building.custom_scenes import CustomSceneFolder
 
     dataset = CustomSceneFolder(folder).check()
-    print(f"{dataset.content}\nNo faults. Use it: --dataset own:{dataset.folder}", flush=True)
+    advice = f"Use it: --dataset own:{dataset.folder}" if dataset.n_scenes else "Add scenes with scenes add-motion."
+    print(f"{dataset.content}\nNo faults. {advice}", flush=True)
 
 
 def preview(

@@ -101,8 +101,8 @@ def find_hand_grasp(
         opened = templates.openings.posture[free[[best]]].compute_joint_angles()[0]
         angles = closed.posture.compute_joint_angles()[best]
         return opened * signs, angles * signs, shift * _MIRROR if is_left else shift
-    distance = 1000.0 * float(compute_palm_distances(solid, Palms(position[None], rotation[None]), *templates.palm)[0])
-    where = f"{distance:.0f} mm away from it" if distance > 0.0 else f"{-distance:.0f} mm inside of it"
+    is_inside = compute_palm_distances(solid, Palms(position[None], rotation[None]), *templates.palm)[0] < 0.0
+    where = "inside of it" if is_inside else f"{1000.0 * np.linalg.norm(position):.0f} mm from the origin of its frame"
     raise DataFormatError(
         f"wrist must be where the fingers reach around the object when it is picked up ({place}), got {fault}, and a "
         f"recorded palm {where}; check the wrist's frame (origin in the wrist, fingers of a right hand along -x, back "

@@ -175,23 +175,26 @@ def _parse_motive(text: str, config: MotionConfig) -> tuple[dict[str, Any], Moti
                 f"{key} in the first line must be {' or '.join(valid)}, got {shorten_text(settings.get(key, 'none'))}; "
                 "export it again"
             )
-    parts = [("Position", axis) for axis in "XYZ"] + [("Rotation", axis) for axis in "XYZW"]
     try:
-        first = 1 + next(number for number, row in enumerate(rows) if row[0] == "Frame")
+        first = 1 + next(number for number, row in enumerate(rows) if "Frame" in row[:2])
         # Lines of type, name and ID of the columns, in newer formats of the parent, then of the part and the axis.
         columns = [*zip(rows[1], rows[2], rows[first - 2], rows[first - 1], strict=True)]
-        names = dict.fromkeys(name for kind, name, *_ in columns if kind == "Rigid Body")
-        places = {name: [columns.index(("Rigid Body", name, *part)) for part in parts] for name in names}
+        time = next(number for number, (*_, axis) in enumerate(columns) if axis.startswith("Time"))
     except (ValueError, IndexError, StopIteration) as error:
         raise ValueError(
-            f"not a CSV file of Motive with rigid bodies ({shorten_text(repr(error))}); export it with the rotation "
-            "type Quaternion, header lines and lengths in m, cm or mm"
+            "a file of Motive must have header lines with type, name, part and axis of its columns, and the column "
+            "'Time (Seconds)'; export it again with header lines"
         ) from error
-    for name in names:
-        if columns.count(("Rigid Body", name, *parts[0])) > 1:
-            raise ValueError(f"rigid bodies must have different names, got {name!r} twice; rename one and export again")
+    parts, places = [("Position", axis) for axis in "XYZ"] + [("Rotation", axis) for axis in "XYZW"], dict[str, Any]()
+    for name in dict.fromkeys(name for kind, name, *_ in columns if kind == "Rigid Body"):
+        wanted = [("Rigid Body", name, *part) for part in parts]
+        for column in wanted:
+            if (count := columns.count(column)) != 1:
+                title = f"rigid body {shorten_text(name)!r} must have one column {' '.join(column[2:])}"
+                raise ValueError(f"{title}, got {count}; export quaternions, and give bodies different names")
+        places[name] = [columns.index(column) for column in wanted]
     values = _parse_rows(lines[first:], ",", [" ".join(words[1:]) for words in columns])
-    arrays = {TIME: values[:, 1], **{name: values[:, numbers] for name, numbers in places.items()}}
+    arrays = {TIME: values[:, time], **{name: values[:, numbers] for name, numbers in places.items()}}
     return arrays, replace(config, time="s", length=_MOTIVE_LENGTHS[settings["Length Units"]])
 
 
