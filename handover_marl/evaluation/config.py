@@ -29,7 +29,7 @@ REPLAYS_NONE: Final = "none"
 REPLAYS_ALL: Final = "all"
 
 _MAX_INFERENCE_TIME = 10.0  # s
-_SEED_LIMIT = 2**63  # Data sets store seeds with 64 bits.
+_SEED_LIMIT = 2**63  # Data sets store seeds as signed 64-bit integers.
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,8 @@ class EvaluationConfig(SceneConfig):
         super().__post_init__()
         # Plain values, so that configurations can be compared, hashed and pickled.
         seed: object = self.seed
-        if isinstance(seed, bool) or not isinstance(seed, Integral) or abs(int(seed)) >= _SEED_LIMIT:
-            raise OptionError(f"seed must be a 64-bit integer, got {type(seed).__name__} {shorten_text(seed)}")
+        if isinstance(seed, bool) or not isinstance(seed, Integral) or not 0 <= int(seed) < _SEED_LIMIT:
+            raise OptionError(f"seed must be an integer from 0 to 2^63 - 1, got {shorten_text(repr(seed))}")
         object.__setattr__(self, "seed", int(seed))
         if self.data_dir is not None:
             object.__setattr__(self, "data_dir", str(check_path("data_dir", self.data_dir)))

@@ -113,7 +113,7 @@ class Verification(TabularResult):
             if metadata.version == __version__
             else f"Not compared, because version {metadata.version} wrote them: reports and hashes.",
             ReportTable(["scene id", "value", "stored", "simulated"], rows, n_keys=2),
-            f"Not equal: {n_changed} of {n} episodes and {n_folder} values of the folder."
+            f"Not equal: episodes {n_changed} of {n}, values of the folder {n_folder}."
             if rows
             else f"Verified: all {n} episodes are equal.",
             f"{n_absent} of {self.metadata.split_size} scenes of the split were not simulated." if n_absent else "",
@@ -262,6 +262,9 @@ def check_reports(path: Path) -> tuple[list[Difference], int]:
     try:
         stored = json.loads(read_plain_file(path / REPORT_JSON, _MAX_REPORT_BYTES))
         reported = {episode["index"] for episode in stored["episodes"]}
+        absent = sorted(reported - {episode.index for episode in report.episodes})
+        if absent:
+            return [Difference(None, get_result_path(path, absent[0]).name, "no file", "a result of the report")], 0
         episodes = tuple(episode for episode in report.episodes if episode.index in reported) or report.episodes
         n_resumed = min(max(int(stored["n_resumed"]), 0), len(episodes))
         report = replace(report, episodes=episodes, n_resumed=n_resumed)

@@ -123,7 +123,7 @@ def test_the_text_of_a_verification() -> None:
     found = Verification(metadata, (9, 14), tuple(Difference(scene, key, "old", "new") for scene, key in keys))
     text = str(found)
     assert "receiver mine, giver replay, fast physics, handover_marl 1.0: 2 of 36 scenes simulated again" in text
-    assert "Not equal: 1 of 2 episodes and 1 values of the folder." in text
+    assert "Not equal: episodes 1 of 2, values of the folder 1." in text
     assert "The giver's code, or the way in which it was named, differs from that of the evaluation." in text
     assert (found.is_verified, found.changed_scenes) == (False, (9,))
     equal = Verification(replace(metadata, version=handover_marl.__version__), tuple(range(36)), (), 2)
@@ -162,11 +162,11 @@ def test_values_of_a_report_are_compared(tmp_path: Path, monkeypatch: pytest.Mon
     assert describe(check_reports(tmp_path)[0])[0][1::2] == ("report.json", "a report")
     path.unlink()
     assert describe(check_reports(tmp_path)[0])[0][1::2] == ("report.json", "a report"), "the texts have none"
-    found, n_unreported = check(episodes=[one])
-    assert (n_unreported, found[0][0]) == (1, None)
+    assert check(episodes=[one])[1] == 1
     (tmp_path / "001.npz").write_bytes(b"no archive")
-    found, n_unreported = check()
-    assert ([each[1] for each in found], n_unreported) == (["results"], 0)
+    assert [each[1] for each in check()[0]] == ["results"]
+    (tmp_path / "001.npz").unlink()
+    assert check() == ([(None, "001.npz", "no file", "a result of the report")], 0)
 
 
 def test_stored_actions_are_played_until_the_next_different_one() -> None:
@@ -212,7 +212,7 @@ def test_a_changed_outcome_is_named(folder: Path, capsys: pytest.CaptureFixture[
     printed = capsys.readouterr().out
     assert f"| {SCENE} " in printed
     assert "timeout" in printed
-    assert "Not equal: 1 of 1 episodes" in printed
+    assert "Not equal: episodes 1 of 1," in printed
     rows = [line.split(" | ") for line in printed.splitlines() if line.startswith((f"| {SCENE} ", "| folder"))]
     assert rows[0][1].strip() == "outcome"
     assert sum("report.json" in row[1] for row in rows) == 1
