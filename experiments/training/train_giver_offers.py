@@ -64,6 +64,7 @@ class Args(SetupArgs):
             the number of receivers.
         spread: Standard deviation of the random offers.
         candidates: Numbers of random offers of which the best is taken; each decision draws one of these numbers.
+        ignored: Numbers of the features (0 to 47) that the network does not use, for ablations.
         width: Width of the two hidden layers of the network.
         dropout: Share of the hidden units that a gradient step leaves out.
         updates: Number of gradient steps in each training of the network.
@@ -84,6 +85,7 @@ class Args(SetupArgs):
     workers: int = 2
     spread: float = 0.5
     candidates: tuple[int, ...] = (1, 4, 16, 64)
+    ignored: tuple[int, ...] = ()
     width: int = 128
     dropout: float = 0.2
     updates: int = 1_500
@@ -149,8 +151,7 @@ class Collector:
 
     def collect(self, network: DenseNetwork | None) -> list[Offers]:
         """Return the offers of one round: random ones without a network, else each the best of several random ones."""
-        steps = max(1, self.args.round_episodes // self.args.num_envs)
-        return [self._step(network) for _ in range(steps)]
+        return [self._step(network) for _ in range(max(1, self.args.round_episodes // self.args.num_envs))]
 
     def _step(self, network: DenseNetwork | None) -> Offers:
         choices = [self._choose(network, vector) for vector in self.observations]
@@ -183,10 +184,12 @@ class Collector:
 def fit(offers: Offers, args: Args, seed: int) -> DenseNetwork:
     """Train a new network that maps features (48,) of an offer to success (logit) and time (share of the limit)."""
     torch.manual_seed(seed)
-    inputs, successes = torch.as_tensor(offers.features), torch.as_tensor(offers.successes).float()
+    is_used = torch.ones(offers.features.shape[1]).index_fill(0, torch.tensor(args.ignored, dtype=torch.int64), 0.0)
+    inputs, successes = torch.as_tensor(offers.features) * is_used, torch.as_tensor(offers.successes).float()
     durations = torch.as_tensor(offers.steps / ProtocolConfig().horizon_steps).float()
     hidden = [(nn.Linear(n, args.width), nn.SiLU(), nn.Dropout(args.dropout)) for n in (inputs.shape[1], args.width)]
     network = nn.Sequential(*hidden[0], *hidden[1], nn.Linear(args.width, 2))
+    network[0].weight.data *= is_used  # These weights stay 0, because their inputs are 0.
 
     def compute_loss(outputs: torch.Tensor, rows: torch.Tensor) -> torch.Tensor:
         logits, times = outputs.unbind(-1)
@@ -202,9 +205,8 @@ def fit(offers: Offers, args: Args, seed: int) -> DenseNetwork:
 def train(args: Args, folder: Path) -> Offers:
     """Collect offers and store them in `folder` until the number of episodes is reached; return all offers."""
     torch.set_num_threads(1)
-    path, offers = folder / OFFERS, None
-    if path.exists():
-        offers = read_samples(Offers, path)
+    path = folder / OFFERS
+    offers = read_samples(Offers, path) if path.exists() else None
     n_earlier_episodes = n_episodes = 0 if offers is None else len(offers.status)
     with ThreadPoolExecutor(args.workers) as pool:
         collectors = list(pool.map(lambda number: Collector(number, args, n_earlier_episodes), range(args.workers)))
@@ -235,15 +237,14 @@ def main(args: Args) -> Path:
             f"num_envs must be a multiple of workers, and workers of the number of receivers, got {args.num_envs}, "
             f"{args.workers} and {len(args.receivers)}"
         )
-    folder = open_run_folder(args.out, args, args.resume, args.open_dataset().name, ("episodes", "workers"))
+    folder = open_run_folder(args.out, args, args.resume, args.open_dataset().name, ("episodes", "ignored", "workers"))
     network = fit(train(args, folder), args, args.seed)
     spec = PolicySpec("giver", OFFER_FEATURES, ACTIONS, CONTROL_PERIOD, describe_origin("train_giver_offers", args))
     write_policy(folder / POLICY, spec, network)
-    for receiver in args.receivers:
+    for receiver in args.receivers if args.val_scenes else ():
         for giver in ("replay", f"adaptive:weights={folder / POLICY}"):
-            if args.val_scenes:
-                label = f"{receiver} with {giver}"
-                validate(args, args.val_scenes, giver, receiver, label, physics=args.val_physics)
+            label = f"{receiver} with {giver}"
+            validate(args, args.val_scenes, giver, receiver, label, physics=args.val_physics)
     return folder / POLICY
 
 

@@ -28,6 +28,8 @@ def test_the_network_learns_which_offers_succeed_and_how_fast(monkeypatch: pytes
     assert ((outputs[decided, 0] > 0) == success[decided]).mean() > 0.95
     errors = outputs[success, 1] - steps[success] / 13000
     assert abs(errors).mean() < 0.05
+    ablated = train.fit(offers, train.Args(updates=20, width=32, ignored=(0,)), 0)
+    assert (ablated(features) == ablated(features * np.float32([9.0, 1.0, 1.0]))).all()
 
 
 @pytest.mark.slow
