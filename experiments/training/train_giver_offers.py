@@ -189,7 +189,7 @@ def fit(offers: Offers, args: Args, seed: int) -> DenseNetwork:
     durations = torch.as_tensor(offers.steps / ProtocolConfig().horizon_steps).float()
     hidden = [(nn.Linear(n, args.width), nn.SiLU(), nn.Dropout(args.dropout)) for n in (inputs.shape[1], args.width)]
     network = nn.Sequential(*hidden[0], *hidden[1], nn.Linear(args.width, 2))
-    network[0].weight.data *= is_used  # These weights stay 0, because their inputs are 0.
+    hidden[0][0].weight.data *= is_used  # These weights stay 0, because their inputs are 0.
 
     def compute_loss(outputs: torch.Tensor, rows: torch.Tensor) -> torch.Tensor:
         logits, times = outputs.unbind(-1)

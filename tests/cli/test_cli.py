@@ -107,16 +107,14 @@ def test_closed_output(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("closed", "workers"), [(">&-", "1"), ("2>&-", "2")])
-def test_streams_that_are_closed_at_the_start(fake_data: Path, tmp_path: Path, closed: str, workers: str) -> None:
+def test_streams_that_are_closed_at_the_start(fake_data: Path, tmp_path: Path) -> None:
     # Python runs this file when it starts, also in worker processes.
     shorten = "import pytest, tests.helpers.short_episodes as short; short.shorten_episodes(pytest.MonkeyPatch(), 100)"
     (tmp_path / "sitecustomize.py").write_text(shorten)
     env = os.environ | {"PYTHONPATH": f"{tmp_path}{os.pathsep}{Path(__file__).parents[2]}"}
     command = [sys.executable, "-c", PROGRAM, "evaluate-pair", "--receiver", "hold", "--scenes", "9", "14"]
-    command += ["--physics", "fast", "--workers", workers, "--data-dir", str(fake_data), "--out", str(tmp_path / "out")]
-    finished = subprocess.run(f"{shlex.join(command)} {closed}", shell=True, capture_output=True, check=False, env=env)
-    assert finished.returncode == 0, finished.stderr
+    command += ["--physics", "fast", "--workers", "2", "--data-dir", str(fake_data), "--out", str(tmp_path / "out")]
+    assert subprocess.run(f"{shlex.join(command)} >&- 2>&-", shell=True, check=False, env=env).returncode == 0
     assert len(list((tmp_path / "out").glob("0*.npz"))) == 2
 
 
