@@ -1,8 +1,15 @@
 """Exceptions of the library; messages name the argument, the rule and the remedy."""
 
+import contextlib
 import difflib
-from collections.abc import Iterable
+import sysconfig
+import traceback
+from collections.abc import Collection, Iterable, Iterator
 from numbers import Integral
+from pathlib import Path
+
+# Folders of this library, of Python's own, and of installed ones.
+_LIBRARIES = [Path(__file__).parent, *(Path(sysconfig.get_path(name)) for name in ("stdlib", "purelib", "platlib"))]
 
 
 class HandoverError(Exception):
@@ -119,3 +126,21 @@ class ResultsError(HandoverError, ValueError):
 
 class ConformanceError(HandoverError, AssertionError):
     """Error for a policy that fails a conformance test of `handover_marl.testing`."""
+
+
+@contextlib.contextmanager
+def report_failure(kind: type[HandoverError], label: str, keys: Collection[str] = ()) -> Iterator[None]:
+    """Raise errors of a user's code in a `with` block as errors of class `kind`, with a label, file and line.
+
+    Errors of this library stay as they are. With a `KeyError`, the message names the valid `keys`, if there are any.
+    """
+    try:
+        yield
+    except HandoverError:
+        raise
+    except (Exception, SystemExit) as error:
+        frames = [(Path(frame.filename), frame.lineno) for frame in traceback.extract_tb(error.__traceback__)]
+        own = [each for each in frames if not any(map(each[0].is_relative_to, _LIBRARIES))]
+        place = f" ({own[-1][0].name}, line {own[-1][1]})" if own else ""
+        names = f"; the keys are {', '.join(keys)}" if isinstance(error, KeyError) and keys else ""
+        raise kind(f"{label} failed: {type(error).__name__}: {error}{place}{names}") from error

@@ -122,7 +122,7 @@ def look_up(key: str) -> None:
         (step, {"receiver": [0.0] * 9}, ActionError, "action of the giver must be 8 numbers, .* got None"),
         (lambda size: givers.make_giver_action(displacement=[0.0] * size), 2, ActionError, "displacement must be 3"),
         (check_receiver_action, None, ActionError, "got None; pass numbers for each agent"),
-        (look_up, "nope", PolicyError, "KeyError: 'nope'; the observation has time"),
+        (look_up, "nope", PolicyError, "failed: KeyError: 'nope'; the keys are time"),
     ],
     ids=lambda value: str(value)[:20],
 )

@@ -21,7 +21,7 @@ from handover_marl.envs.rewards import (
     WeightedRewardSource,
 )
 from handover_marl.envs.transition import Transition
-from handover_marl.errors import HandoverError, OptionError, RewardError, check_name
+from handover_marl.errors import OptionError, RewardError, check_name, report_failure
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyIndices, ArrayFactory
 from handover_marl.policies.registry import import_reference
 
@@ -197,12 +197,8 @@ class CustomRewardSource:
         }
 
     def _run(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        try:
+        with report_failure(RewardError, f"reward {self._name!r}"):
             return function(*arguments)
-        except HandoverError:
-            raise
-        except (Exception, SystemExit) as error:  # code of the user
-            raise RewardError(f"reward {self._name!r} failed ({type(error).__name__}: {error})") from error
 
     def _check_agents(self, terms: Any) -> None:
         """Check that a user-defined reward returned terms by agent and name."""

@@ -1,9 +1,8 @@
 """Episode loop: policies act, the simulation advances, callbacks observe."""
 
-import contextlib
 import hashlib
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal, Protocol, TypeAlias
 
@@ -16,7 +15,7 @@ from handover_marl.episode.episode import Episode
 from handover_marl.episode.giver_motion import NO_DEVIATION
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import STATE, check_giver_action, check_receiver_action, giver_action_space
-from handover_marl.errors import HandoverError, OptionError, PolicyError
+from handover_marl.errors import OptionError, PolicyError, report_failure
 
 Action = npt.NDArray[np.float32]
 #: Inference time that is measured: the wall-clock time of each call of the receiver.
@@ -126,7 +125,7 @@ def start_policy(policy: EpisodePolicy, seed: int | None, object_names: Sequence
         seed: Seed of the policy.
         object_names: Class names of the objects; the first object is handed over.
     """
-    with _name_policy(policy, "reset"):
+    with report_failure(PolicyError, f"policy {policy.name!r} (reset)"):
         policy.prepare(object_names)
         policy.reset(seed)
 
@@ -139,21 +138,9 @@ def call_policy(policy: EpisodePolicy, observation: Observation, step: int) -> t
         observation: Observation of the policy's agent.
         step: Number of physics steps since the start of the episode.
     """
-    with _name_policy(policy, f"after {step} steps", observation):
+    with report_failure(PolicyError, f"policy {policy.name!r} (after {step} steps)", observation):
         action, hold_time = policy.act(observation), policy.hold_time
     return action, step + steps_from_hold_time(hold_time)
-
-
-@contextlib.contextmanager
-def _name_policy(policy: EpisodePolicy, when: str, observation: Observation | None = None) -> Iterator[None]:
-    """Turn errors in a `with` block, except `HandoverError`, into a `PolicyError` with the policy's name and `when`."""
-    try:
-        yield
-    except HandoverError:
-        raise
-    except (Exception, SystemExit) as error:
-        keys = f"; the observation has {', '.join(observation)}" if isinstance(error, KeyError) and observation else ""
-        raise PolicyError(f"policy {policy.name!r} failed ({when}): {type(error).__name__}: {error}{keys}") from error
 
 
 def steps_from_hold_time(hold_time: float) -> int:

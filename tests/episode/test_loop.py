@@ -305,9 +305,9 @@ def test_short_times_are_one_step() -> None:
 @pytest.mark.parametrize("error", [ZeroDivisionError("nought"), SystemExit("bye")])
 def test_whose_fault_it_was(error: BaseException) -> None:
     policy = CountingPolicy(0.1, error)
-    with pytest.raises(PolicyError, match=rf"policy 'counting' failed \(reset\): {type(error).__name__}: {error}"):
+    with pytest.raises(PolicyError, match=rf"policy 'counting' \(reset\) failed: {type(error).__name__}: {error}"):
         start_policy(policy, None)
-    with pytest.raises(PolicyError, match=r"policy 'counting' failed \(after 300 steps\)"):
+    with pytest.raises(PolicyError, match=r"policy 'counting' \(after 300 steps\) failed"):
         call_policy(policy, SEEN, 300)
 
 

@@ -266,7 +266,7 @@ def test_memory_of_own_scheme_functions_is_cleared() -> None:
                 (np.array([0.0, np.nan], np.float32), "finite, got nan in component 1"),
             )
         ),
-        (SingleFeatures, "receiver", broken, r"features 'broken' failed \(KeyError: 'nothing'\)"),
+        (SingleFeatures, "receiver", broken, r"features 'broken' failed: KeyError: 'nothing' .test_schemes.py, line"),
         (SingleFeatures, "receiver", Unmakable, r"'Unmakable' cannot be made \(RuntimeError: no weights\)"),
         (SingleFeatures, "receiver", LOCKED, r"'OffsetAndCount' cannot be made \(TypeError: cannot pickle"),
         (SingleFeatures, "receiver", features_that(None, reset=print), "mine' with a reset must be a class, got"),

@@ -21,7 +21,7 @@ from handover_marl.envs.wrappers.control_agent import FixedPartnerEnv, control_a
 from handover_marl.envs.wrappers.encode import EncodedEnv, encode
 from handover_marl.envs.wrappers.wrapper import WrappableEnv, check_env, list_wrappers
 from handover_marl.episode.spaces import FULL_POINTCLOUD, has_camera, parse_obs_mode
-from handover_marl.errors import HandoverError, OptionError, check_name
+from handover_marl.errors import OptionError, check_name, report_failure
 from handover_marl.execution.options import check_positive_integer, count_available_cores, forward_signature
 from handover_marl.learning.encodings.custom import FeaturesLike, SchemeLike, is_reference
 from handover_marl.policies.reference import PolicyLike
@@ -293,11 +293,7 @@ def _apply_wrapper(wrapper: WrapperFunction, env: WrappableEnv) -> WrappableEnv:
     """Return an environment wrapped by a user's function or class `wrapper`; raise OptionError if it fails."""
     if not callable(wrapper):
         raise OptionError(f"wrappers must be functions or classes that wrap an environment, got {wrapper!r}")
-    try:
+    with report_failure(OptionError, f"wrapper {wrapper!r}"):
         wrapped = wrapper(env)
-    except HandoverError:
-        raise
-    except (Exception, SystemExit) as error:  # code of the user
-        raise OptionError(f"wrapper {wrapper!r} failed ({type(error).__name__}: {error})") from error
     check_env(wrapped)
     return wrapped

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from handover_marl.config import PANDA_DOF
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE
-from handover_marl.errors import EncodingError, HandoverError, OptionError
+from handover_marl.errors import EncodingError, OptionError, report_failure
 from handover_marl.geometry.arrays import AnyArray, ArrayFactory, to_numpy
 from handover_marl.learning.encodings.action_scheme import ActionScheme, ArrayScheme, Outputs
 from handover_marl.learning.encodings.features import ArrayFeatures
@@ -248,12 +248,8 @@ def _check_vector(label: str, values: Any, size: int) -> Vector:
 
 def _run(label: str, function: Callable[..., Any], *arguments: Any) -> Any:
     """Return the result of user-defined code; raise its exceptions as EncodingErrors that begin with `label`."""
-    try:
+    with report_failure(EncodingError, label):
         return function(*arguments)
-    except HandoverError:
-        raise
-    except Exception as error:  # code of the user
-        raise EncodingError(f"{label} failed ({type(error).__name__}: {error})") from error
 
 
 def _split_episodes(rows: AnyArray, observation: Observation) -> Iterator[tuple[int, Observation]]:
