@@ -15,6 +15,7 @@ from handover_marl import evaluate_pair, givers, receivers
 from handover_marl.datasets.custom.scene_file import CustomObject
 from handover_marl.datasets.generated.config import GeneratedConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.envs.config import EnvConfig
 from handover_marl.episode.loop import call_policy
 from handover_marl.episode.spaces import check_receiver_action
 from handover_marl.errors import (
@@ -114,6 +115,8 @@ def look_up(key: str) -> None:
         (lambda number: CustomObject("box", number, 0.1, 0.5), "22", OptionError, "from 22 to 16777215, got .22"),
         (lambda name: handover_marl.benchmark(receiver=name), "cooperative", UnknownNameError, "is a giver"),
         (lambda name: evaluate_pair(name, "hold"), "reactive", UnknownNameError, "is a receiver"),
+        (lambda mode: EnvConfig(physics="mujoco", render_mode=mode), "human", OptionError, "must be 'rgb_array' with"),
+        (lambda file: receivers.make(file, "synthetic"), "runs/a.npz", UnknownNameError, "write learned:runs/a.npz"),
         (givers.make, "wary.py", UnknownNameError, "a class in this file is wary:CLASS"),
         (givers.make, "learned:nope.npz", DataNotFoundError, "export_policy or a training script"),
         (lambda data: receivers.make("yang2021", data), "synthetic", OptionError, r"dataset must be env\.dataset"),

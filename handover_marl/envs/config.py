@@ -11,7 +11,7 @@ from handover_marl.episode.spaces import STATE, has_camera
 from handover_marl.errors import OptionError, check_name
 from handover_marl.execution.options import check_positive_integer
 from handover_marl.simulation.camera.renderers import check_rendering, resolve_renderer
-from handover_marl.simulation.engines import check_physics
+from handover_marl.simulation.engines import MUJOCO, check_physics
 
 RENDER_MODES = ("human", "rgb_array")
 
@@ -54,6 +54,10 @@ class EnvConfig(SceneConfig):
             check_config("camera", self.camera, CameraConfig)
         if self.render_mode is not None:
             check_name("render_mode", self.render_mode, RENDER_MODES)
+            if self.render_mode == "human" and self.physics == MUJOCO:
+                raise OptionError(
+                    "render_mode must be 'rgb_array' with physics 'mujoco', which has no window, got 'human'"
+                )
             check_rendering(f"render_mode={self.render_mode!r}")
         sensors = self.sensors
         if has_camera(self.obs_mode):

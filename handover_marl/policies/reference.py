@@ -301,9 +301,11 @@ def _parse_text(agent: str, text: str, extra: Mapping[str, Any], trust: bool) ->
         # Registered names have no second part, classes are named "module:Class".
         if not colon or not tail or head.endswith(".py"):
             other = "giver" if agent == "receiver" else "receiver"
-            hint = f"{text!r} is a {other}" if text in list_available(other) else ""
-            if head.endswith(".py"):
-                hint = f"the name of a class in this file is {Path(head).stem}:CLASS"
+            hint = {
+                ".py": f"the name of a class in this file is {Path(head).stem}:CLASS",
+                ".npz": f"for a policy file, write learned:{text}",
+                ".zip": "convert a model by handover_marl.export_policy, and write learned:FILE.npz",
+            }.get(Path(head).suffix, f"{text!r} is a {other}" if text in list_available(other) else "")
             raise UnknownNameError(agent, text, list_available(agent), hint)
         attribute, _, rest = tail.partition(":")
         name, tail = f"{head}:{attribute}", rest

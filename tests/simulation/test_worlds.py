@@ -30,7 +30,6 @@ from handover_marl.simulation.engines import (
     BatchBackend,
     check_physics,
     list_available_physics,
-    make_world,
 )
 from tests.helpers.playing import StepRecorder
 
@@ -260,8 +259,3 @@ def test_engines_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
     assert list_available_physics() == ("mujoco",)
     with pytest.raises(OptionError, match=r"needs PyBullet.*up to Python 3\.13"):
         Episode("fast")
-
-
-def test_only_pybullet_has_a_window() -> None:
-    with pytest.raises(OptionError, match="opens no window"):
-        make_world("mujoco", PhysicsConfig(), window=True)

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from handover_marl.config import PhysicsConfig, ProtocolConfig
 from handover_marl.datasets.dataset import Scene
-from handover_marl.errors import OptionError, ResetNeededError
+from handover_marl.errors import ResetNeededError
 from handover_marl.geometry.arrays import AnyArray, AnyIntegers, Indices
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.simulation.camera.images import JointSnapshot
@@ -48,7 +48,7 @@ class MujocoWorld(World):
 
     Args:
         config: Constants of the world.
-        window: Must be False; only PyBullet opens a window.
+        window: Not used; only PyBullet has a window.
         cache: MuJoCo's batches, shared with other worlds; None for new ones.
 
     Attributes:
@@ -72,8 +72,6 @@ class MujocoWorld(World):
     reference: ReferenceMotion
 
     def __init__(self, config: PhysicsConfig, window: bool = False, cache: SimulationCache | None = None) -> None:
-        if window:
-            raise OptionError('physics="mujoco" opens no window; use render_mode="rgb_array", or physics="fast"')
         super().__init__(config)
         self._cache = cache or SimulationCache()
         self._data: WorldData | None = None
