@@ -31,7 +31,7 @@ from handover_marl.datasets.splits import N_SCENES
 from handover_marl.errors import HandoverError, OptionError
 from handover_marl.evaluation.comparison import compare
 from handover_marl.evaluation.demonstrations.convert import convert_to_lerobot, convert_to_minari
-from handover_marl.evaluation.reports.report import find_replay_links, load_report, render_report_page
+from handover_marl.evaluation.reports.report import ReportList, find_replay_links, load_report, render_report_page
 from handover_marl.evaluation.strangers.protocol import make_leaderboard
 from handover_marl.evaluation.verification import verify
 from handover_marl.execution.files import write_atomically
@@ -51,28 +51,34 @@ _NAME, _EXTRA = re.compile(r"[\w.-]+"), re.compile(r"extra == ['\"](\w+)['\"]")
 
 
 def run_report(
-    folder: Folder,
+    folder: Annotated[str, tyro.conf.arg(metavar="PATH")],
+    others: Annotated[tuple[str, ...], tyro.conf.arg(metavar="[PATH ...]")] = (),
     /,
     out: Annotated[str | None, tyro.conf.arg(metavar="FILE.html")] = None,
     episodes: Annotated[str | None, tyro.conf.arg(metavar="FILE.csv")] = None,
     tables: TableArguments = _TABLES,
 ) -> None:
-    """Print the table of a result folder, written by this library or by HandoverSim.
+    """Print the tables of a result folder of this library or of HandoverSim, or one table of several folders.
 
     Args:
-        folder: Result folder (config.yaml and 000.npz, 001.npz, ...).
-        out: Output file (.html) for the report as a web page; default: none.
-        episodes: Output file (.csv) with one row per episode; default: none.
+        folder: Result folder (config.yaml and 000.npz, 001.npz, ...), or a JSON file of outcomes such as those in
+            docs/results/data/episodes.
+        others: Further folders or files. The table then has a row for each.
+        out: Output file (.html) for the report as a web page; default: none. Only for a single folder.
+        episodes: Output file (.csv) with one row per episode; default: none. Only for a single folder.
     """
+    if others and (out or episodes):
+        raise OptionError("out and episodes need a single result folder; leave them out, or pass one folder")
     path = None if out is None else prepare_output_path(out, (".html",))
     csv_path = None if episodes is None else prepare_output_path(episodes, (".csv",))
-    report = load_report(folder)
+    report, *more = map(load_report, (folder, *others))
     if csv_path is not None:
         write_atomically(csv_path, report.format_episodes_csv())
     if path is not None:
         links = find_replay_links(Path(folder).expanduser(), path.parent)
         write_atomically(path, render_report_page(report, links))
-    print_tables(report, tables, "Page not saved; add --out FILE.html." if path is None else f"Page: {path}")
+    result, advice = (ReportList((report, *more)), "") if more else (report, "Page not saved; add --out FILE.html.")
+    print_tables(result, tables, advice if path is None else f"Page: {path}")
 
 
 def run_verify(

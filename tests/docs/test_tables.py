@@ -26,7 +26,7 @@ from handover_marl.episode.spaces import giver_action_space, receiver_action_spa
 from handover_marl.evaluation.comparison import Comparison
 from handover_marl.evaluation.crossplay import CrossPlay
 from handover_marl.evaluation.reports import tables
-from handover_marl.evaluation.reports.report import Report, render_report_page
+from handover_marl.evaluation.reports.report import Report, ReportList, render_report_page
 from handover_marl.evaluation.reports.tables import SCENE_HEADER, Column, build_scene_table
 from handover_marl.evaluation.verification import Difference, Verification
 from tests.docs.pages import PAGES, REPOSITORY, checked_table, marks
@@ -198,7 +198,7 @@ def test_every_printed_column_is_documented() -> None:
     page = render_report_page(first)
     verified = str(Verification(first.metadata, (209,), (Difference(209, "steps", "1", "2"),))).split("\n\n")
     (row,) = [part.splitlines()[0] for part in verified if part.startswith("|")]
-    tables = [*first.build_tables(), build_scene_table(first.episodes)]
+    tables = [*first.build_tables(), *ReportList((first, other)).build_tables(), build_scene_table(first.episodes)]
     tables += [*sample_crossplay().build_tables(), *compared.build_tables()]
     titles = {str(title) for table in tables for title in table.header}
     titles |= {cell.strip() for cell in row.strip("|").split("|")}

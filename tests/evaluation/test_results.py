@@ -259,6 +259,9 @@ def test_episode_files_hold_what_the_folder_holds(
     assert rows["min distance cm"][2] == 1, "only one scene has a value in both"
     assert main(["compare", str(file), str(folder)]) == main(["report", str(file)]) == 0
     assert "| reach m " in capsys.readouterr().out
+    assert main(["report", str(file), str(folder), "--format", "csv", "--columns", "receiver", "success %"]) == 0
+    assert capsys.readouterr().out.count("50.0 (9.5 to 90.5)") == 2
+    assert main(["report", str(file), str(folder), "--out", "page.html"]) == 2
 
 
 def change(key: str, value: Any) -> Callable[[dict[str, Any]], None]:

@@ -24,6 +24,7 @@ from handover_marl.evaluation.reports.tables import (
     AVERAGE_SUCCESS,
     FLUENCY,
     FLUENCY_NOTE,
+    N_EPISODES,
     NO_VALUE,
     RATES,
     REPORTED_STATUSES,
@@ -248,6 +249,31 @@ class Report(TabularResult):
             fluency = values.pop("fluency") or {column.key: None for column in FLUENCY}
             rows.append({**identity, **values, **fluency})
         return format_csv([[*rows[0]], *([*row.values()] for row in rows)])
+
+
+@dataclass(frozen=True)
+class ReportList(TabularResult):
+    """Reports of several evaluations. `str(reports)` is a table in Markdown with a row for each.
+
+    Attributes:
+        reports: Reports of the evaluations, which may have different conditions.
+    """
+
+    reports: tuple[Report, ...]
+
+    def build_sections(self) -> list[str | ReportTable]:
+        """Build the table of conditions, rates, AS and time of the evaluations, and a note."""
+        rows = []
+        for report in self.reports:
+            metadata, means = report.metadata, report.official_means
+            scenes, version = f"{metadata.setup} {metadata.split}", metadata.version
+            condition = [scenes, report.data_label, metadata.simulation_label, version, metadata.wait_s or NO_VALUE]
+            rates = [estimate.format() for estimate in (*report.rates.values(), means[AVERAGE_SUCCESS.key])]
+            time = means[TIMES[0].key].format(".3f", scale=1.0)
+            rows.append([metadata.receiver, metadata.giver, *condition, *rates, time, len(report.episodes)])
+        titles = [column.title for column in (WAIT, *RATES, AVERAGE_SUCCESS, TIMES[0], N_EPISODES)]
+        table = ReportTable(["receiver", "giver", "scenes", "data", "simulation", "version", *titles], rows, n_keys=2)
+        return [table, "95 % intervals: Wilson for rates, bootstrap for AS and times. Times over successes."]
 
 
 def _format_published_row(row: PublishedResult) -> list[object]:
