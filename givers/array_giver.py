@@ -1,4 +1,4 @@
-"""Base class of the scripted givers, which act in one or many episodes at once; arrays have one row per episode."""
+"""Base class of scripted givers, and functions of their observations; arrays have one row per episode."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace

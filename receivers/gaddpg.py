@@ -75,7 +75,8 @@ class PointCloudMemory:
     """Memory of the object's last point cloud, and of the number of decisions left before the gripper closes.
 
     GA-DDPG's scripts call the cloud accumulated, but each camera image with points of the object replaces it.
-    `max_steps` is the largest number of decisions. Random points are selected with the same `seed` in every episode.
+    `max_steps` is the largest number of decisions left; motion of the object adds some. Random points are selected with
+    the same `seed` in every episode.
 
     Attributes:
         cloud: (3, n) float64 points of the object in the robot's base frame (m); n = 0 before its first view.
@@ -154,8 +155,8 @@ class GaddpgReceiver(PhasedReceiver):
             `experiments/training/train_gaddpg.py` wrote; needs PyTorch. Default: the library's own weights, with which
             the hand link moves to the predicted grasp. Result labels of .npz weights contain "own weights".
         wait: Time at the start configuration (s): 3 (default) for the published variant "hold", 0 for "w/o hold".
-        max_steps: Maximum number of decisions of an approach, RL_MAX_STEP in the configuration of the authors' model.
-            Default: the value in an .npz file (30 in the library's own), otherwise 20.
+        max_steps: Number of decisions of an approach to an object at rest, RL_MAX_STEP in the configuration of the
+            authors' model. Default: the value in an .npz file (30 in the library's own), otherwise 20.
 
     Attributes:
         memory: Memory of the object's last point cloud.

@@ -1,4 +1,4 @@
-"""Base class of receivers that wait, move in steps, close the fingers and retreat at fixed times."""
+"""Base class of receivers that wait, move in steps, close the fingers and retreat, each for a fixed time."""
 
 import math
 from abc import abstractmethod

@@ -46,7 +46,7 @@ class Args(ImitationArgs):
         waits: Initial waiting times (s) of the receiver in evaluations. The mean success rate selects the network.
         spare_steps: Number of decisions that should be left when the receiver's hand reaches a grasp. The expert leaves
             20; with fewer, the approach is slower, since the giver may still move.
-        max_steps: Largest number of decisions of an approach to a grasp.
+        max_steps: Number of decisions of an approach to an object at rest.
     """
 
     out: str = "runs/gaddpg"

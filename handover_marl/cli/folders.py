@@ -200,7 +200,8 @@ def run_import(
 def run_doctor(data_dir: DataDir = None, progress: Progress = True) -> int:
     """Check the installation and a data folder, and print the errors that an evaluation would raise.
 
-    The exit status is 1 if there is a fault, else 0. Stand-ins for HandoverSim's models are not faults.
+    The exit status is 1 if there is a fault, else 0. Packages that are not installed, and stand-ins for HandoverSim's
+    models, are no faults.
     """
     findings = check_installation()
     chosen = os.environ.get(DATA_DIR_VARIABLE) if data_dir is None else data_dir

@@ -1,4 +1,4 @@
-"""Commands `handover-marl scenes ...`, which build and check folders of custom scenes."""
+"""Commands `handover-marl scenes ...`, which build, check and show custom scenes."""
 
 from typing import Annotated, Literal
 

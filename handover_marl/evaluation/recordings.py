@@ -25,7 +25,7 @@ from handover_marl.visualization.replay_scene import build_replay_page
 
 _POSITIONS = tuple(f"{point}_{axis}" for point in ("gripper", "wrist") for axis in "xyz")
 #: Columns: time (s); positions of the robot's hand link and of the person's wrist in the world frame (m), their speeds,
-#: averaged over 60 ms (m/s), and their distance (m); largest sums of the robot's normal forces on object and person's
+#: averaged over 80 ms (m/s), and their distance (m); largest sums of the robot's normal forces on object and person's
 #: hand since the previous row (N). Columns of the wrist are empty while the person's hand is absent.
 COLUMNS = (
     *("time", *_POSITIONS, "gripper_speed", "wrist_speed", "gripper_wrist_distance"),

@@ -100,9 +100,9 @@ def _load_graspable_object(
 
 
 @functools.lru_cache(maxsize=64)
-def load_obstacle(context: PolicyContext, object_name: str) -> Spheres:
-    """Load spheres that coarsely approximate the surface of an object class, in its own frame; cached."""
-    vertices, faces = read_collision_mesh(context.find_object_urdf(object_name))
+def load_obstacle(urdf: Path) -> Spheres:
+    """Load spheres that coarsely approximate the surface of an object, in its own frame; cached."""
+    vertices, faces = read_collision_mesh(urdf)
     return sample_surface_spheres(vertices, faces, _N_OBSTACLE_SPHERES, OBSTACLE_RADIUS)
 
 

@@ -74,8 +74,8 @@ class GraspPreparationConfig(CheckedConfig):
         tilts: Rotations of the copies about the line between the finger pads (rad).
         max_copies: Maximum number of copies that hold the shaken object, of all grasps together.
         lateral_offsets: Offsets of a stable grasp at which the shaking is repeated, in the hand link's frame (m).
-        advances: Distances (m) by which a grasp may be moved along its approach axis towards the object; the first one
-            without a collision is used. Objects slip less in deeper grasps when the person releases them.
+        advances: Distances (m) by which a grasp may be moved along its approach axis towards the object. The
+            first one with 4 mm to spare before a collision is used. Objects slip less in deeper grasps at the release.
         held_time: Time for which the object is held in place while the fingers close (s).
         free_time: Time for which the object is then simulated without support (s).
         max_slip: Maximum slip of the object within `free_time` (m).
@@ -193,14 +193,15 @@ def make_offset_pose(tilt: float, lateral: float = 0.0, backward: float = 0.0) -
 def validate_grasps(
     object_urdf: Path, panda_urdf: Path, known: Array, config: GraspPreparationConfig
 ) -> ValidatedGrasps:
-    """Return an object's known grasps, and the tilted copies that hold a shaken object, with their success rates.
+    """Return an object's known grasps, and tilted copies that hold a shaken object, with their success rates.
 
-    Known grasps that failed are kept with a success rate of 0. The returned grasps are moved along their approach axis
-    (z of the hand link) by the first of `advances` at which the open gripper does not collide, if there is one.
+    There are at most `config.max_copies` copies. A grasp that fails the shaking or the release has the rate 0. Each
+    grasp is moved along its approach axis (z of the hand link) by the first distance in `config.advances` at which the
+    open gripper, 4 mm deeper, does not touch the object, if there is one.
 
     Args:
         object_urdf: URDF of the object.
-        panda_urdf: URDF of the Panda whose fingers are simulated.
+        panda_urdf: URDF of the Panda that is advanced and releases the object; shaking uses the Panda without camera.
         known: (n, 7) poses of the hand link in the object's frame, xyz (m) and quaternion xyzw.
         config: Tilts, offsets and conditions of the simulated trials.
     """
@@ -305,7 +306,7 @@ def _count_stable(validator: "GraspValidator", pose: Array, config: GraspPrepara
 
 
 def _find_advance(validator: "GraspValidator", pose: Array, config: GraspPreparationConfig) -> int:
-    """Return the number, from 1, of the first advance (m deeper) at which a grasp (7,) is free of collisions; or 0."""
+    """Return the number, from 1, of the first advance (m) after which a grasp (7,) has 4 mm to a collision; or 0."""
     for number, distance in enumerate(config.advances, start=1):
         deeper = advance_grasp(pose, distance + _MIN_ADVANCE_CLEARANCE)
         if validator.is_collision_free(_gripper_matrix(deeper)):

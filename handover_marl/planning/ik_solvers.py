@@ -76,7 +76,7 @@ def solve_ik(
         tolerance: One bound on every component of the position error (m) and of the rotation vector to the goal (rad),
             or two bounds on the norms of these two.
         iterations: Maximum number of steps, after which a search has failed.
-        damping: Damping (m^2); a larger one makes steps shorter and keeps them nearer to the start.
+        damping: Square of the damping factor (m^2); a larger one makes steps shorter, nearer to the start.
         min_step: A search also fails at a step that moves no joint by this angle (rad).
         max_step: Largest joint motion to which a step is scaled down (rad).
 

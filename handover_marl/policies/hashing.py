@@ -165,7 +165,7 @@ def _describe(value: Any, seen: dict[int, tuple[int, object]], arrays_only: bool
 
 
 def _list_parts_of_definition(value: Any) -> list[Any]:
-    """Return the parts to hash of a function, class or module: name, package, code, and variables the code uses."""
+    """Return the parts to hash of a definition: name, package, a function's code, and variables if not installed."""
     if isinstance(value, ModuleType):
         return [value.__name__, hash_package(value.__name__.partition(".")[0])]
     packages = {_get_package(base) for base in (value.__mro__ if isinstance(value, type) else [value])}

@@ -49,14 +49,13 @@ class ReactiveReceiver(ControllerReceiver):
         for name in object_names[:1]:
             load_graspable_object(self.context, name, self.config.preparation)
         for name in object_names[1:]:
-            load_obstacle(self.context, name)
+            load_obstacle(self.context.find_object_urdf(name))
 
     def reset(self, seed: int | None = None) -> None:
         """Start an episode; `seed` is ignored, since the receiver is deterministic."""
         self._object_name = ""
-        self._scene = PoseSceneEstimate(
-            self.arm, self.config, lambda name: load_obstacle(self.context, name), self.context.object_names
-        )
+        find_urdf, names = self.context.find_object_urdf, self.context.object_names
+        self._scene = PoseSceneEstimate(self.arm, self.config, lambda name: load_obstacle(find_urdf(name)), names)
         self.start_episode(self._scene)
 
     def act(self, observation: Observation) -> Action:

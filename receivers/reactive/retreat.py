@@ -7,6 +7,7 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from handover_marl.geometry.panda import SHOULDER_HEIGHT
 from handover_marl.geometry.poses import IDENTITY, inverse_transform_points, transform_points
 from handover_marl.geometry.rotations import rotate_points
 from handover_marl.planning.arm_control import ArmInWorld, ArmServo
@@ -47,7 +48,6 @@ _STALL_TIMEOUT, _JOINT_TOLERANCE, _PROGRESS_RATIO = 0.6, 0.05, 0.95
 _LINK_RADII = np.array([0.1, 0.09, 0.075])
 _SPHERES_PER_LINK = 6
 _SHOULDER, _ELBOW, _WRIST = 1, 3, 4
-_SHOULDER_HEIGHT = 0.333  # m
 _IK_ITERATIONS, _IK_TOLERANCE = 12, 5e-3
 _UNREACHABLE = 1000.0  # s
 
@@ -131,7 +131,7 @@ class RetreatController:
         return np.asarray(ends[beside[0] if beside else order[0]])
 
     def _solve_ends(self, joints: Array, gripper_pose: Array) -> tuple[Array, Array]:
-        """Return configurations (n, 7) near the goal, and travel times (n,) (s), very long if unreached or rejected."""
+        """Return configurations (n, 7) near the goal (rad), and travel times (n,) in s, over 500 if not to be used."""
         here = Rotation.from_quat(gripper_pose[3:])
         home = (Rotation.from_quat(self._arm.compute_hand_pose(HOME)[3:]) * here.inv()).as_rotvec()
         rotations = [(Rotation.from_rotvec(share * home) * here).as_quat() for share in _ROTATION_SHARES]
@@ -177,7 +177,7 @@ class RetreatController:
         (links, _), hands = self._arm.compute_link_frames(line), self._arm.compute_hand_poses(line)
         shares = np.linspace(0.0, 1.0, _SPHERES_PER_LINK)[:, None, None]
         for origins, hand in zip(links, hands, strict=True):
-            base = np.array([*origins[0, :2], origins[0, 2] - _SHOULDER_HEIGHT])
+            base = np.array([*origins[0, :2], origins[0, 2] - SHOULDER_HEIGHT])
             joints_in_world = np.stack([base, origins[_SHOULDER], origins[_ELBOW], origins[_WRIST]])
             starts, ends = joints_in_world[:-1], joints_in_world[1:]
             centers = (starts + shares * (ends - starts)).reshape(-1, 3)

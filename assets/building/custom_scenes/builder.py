@@ -289,6 +289,8 @@ def _split_scenes(
         {"object": scene.objects[0], "person": scene.subject, "random": str(number)}[by]
         for number, scene in enumerate(content.scenes)
     ]
+    if not keys:
+        raise OptionError("a split needs scenes, got a folder without scenes; add them with add_motion")
     groups = list(dict.fromkeys(keys))
     drawn = [groups[index] for index in np.random.default_rng(seed).permutation(len(groups))]
     home: dict[str, str] = {}

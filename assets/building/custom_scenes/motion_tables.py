@@ -291,7 +291,7 @@ def _make_table(arrays: Mapping[str, Any], config: MotionConfig) -> MotionTable:
             raise ValueError(f"fingers must have shape ({len(time)}, {N_FINGER_ANGLES}), got {fingers.shape}")
         angles = fingers[slice(*rows)]
         if not (np.abs(angles) <= MAX_FINGER_ANGLE).all():
-            raise ValueError(f"fingers must be angles in rad where the wrist is, got {np.abs(angles).max():.4g}")
+            raise ValueError(f"fingers must be angles (rad) in all rows with a wrist, got {np.abs(angles).max():.4g}")
         if config.fingers == "rotvec":
             angles = Rotation.from_rotvec(angles.reshape(-1, 3)).as_euler("XYZ").reshape(angles.shape)
     return MotionTable(time, bodies, wrist, rows, angles, tuple(repairs))

@@ -142,7 +142,7 @@ def _make_hull(points: Array) -> ConvexSurface:
 
 
 class Solid:
-    """Union of convex polyhedra, for which grasps are drawn.
+    """Union of convex polyhedra, on whose surface grasps are sampled.
 
     Args:
         parts: Surfaces of the polyhedra in the object's frame.
@@ -229,7 +229,7 @@ class Solid:
         return np.where(is_exit.any(axis=0), lengths, np.inf), slopes[plane, row]
 
     def _split(self, rows: Array) -> list[Array]:
-        """Split an array (n, ...) of points into chunks whose distances from all planes fit into the CPU cache."""
+        """Split an array (n, ...), one row per point or ray, into chunks of about `_N_VALUES` distances from planes."""
         step = max(_N_VALUES // len(self._offsets), 1)
         return [rows[start : start + step] for start in range(0, max(len(rows), 1), step)]
 

@@ -135,13 +135,13 @@ class FluencyMetrics:
         gripper_jerk: Root mean square jerk of the robot's hand link (m/s^3) in the whole episode; None
             in episodes shorter than 240 ms.
         gripper_path: Length (m) of the path of the robot's hand link.
-        gripper_max_speed: Largest speed of the robot's hand link (m/s), averaged over 60 ms.
+        gripper_max_speed: Largest speed of the robot's hand link (m/s), averaged over 80 ms.
         gripper_mean_speed: Mean speed of the robot's hand link in the whole episode (m/s): path length
             divided by duration.
         exchange_time: Time from the robot's first contact with the object to the release (s); None
             without a release after such a contact.
         gripper_contact_speed: Speed of the robot's hand link at the first contact with the object (m/s),
-            averaged over 60 ms; None if there is no contact.
+            averaged over 80 ms; None if there is no contact.
         robot_object_impulse: Sum over all physics steps until the release or the end of the normal forces
             between robot and object, times 1 ms (N s); None if there is no contact until then.
         min_separation_margin: Smallest separation margin (m), sampled every 20 ms: the distance between the

@@ -26,7 +26,7 @@ Flags = npt.NDArray[np.bool_]
 
 #: Physics steps between two samples of an episode's trace (20 ms); the first sample is the start.
 SAMPLE_STEPS = 20
-_SMOOTHING_SAMPLES = 3  # speeds are averaged over 60 ms
+_SMOOTHING_SAMPLES = 3  # speeds are averaged over 80 ms
 _SHORTEST_PAUSE = 0.25  # s, shorter pauses do not divide an activity
 # The jerk is the third derivative of a polynomial of this degree, fitted to this many samples (240 ms). The filter has
 # half power at 6.3 Hz: it keeps reaching movements and suppresses noise.

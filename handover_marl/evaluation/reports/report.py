@@ -192,7 +192,7 @@ class Report(TabularResult):
         return "\n".join(lines)
 
     def _build_official_table(self) -> ReportTable:
-        """Build the table of official metrics with 95 % intervals, and of published results."""
+        """Build the table of official metrics, all but the total time with 95 % intervals, and of published results."""
         n, (score, *times), rates = len(self.episodes), self.official_means.values(), list(self.rates.values())
         counts = [f"{100 * self.compute_rate(flag):.2f} ({self.count(flag)}/{n})" for flag in REPORTED_STATUSES]
         wait = self.metadata.wait_s or NO_VALUE

@@ -209,8 +209,8 @@ class GraspVelocityFeatures(GraspFeatures):
     """Features (70): the 64 of `GraspFeatures`, then 6 velocities, averaged since the last decision.
 
     These are the velocities of the object to hand over and of the person's wrist, along the gripper frame's axes (m/s,
-    times 5, clipped to [-5, 5]); zeros at the first decision of an episode. The gripper's own velocity is left out: a
-    network that imitates another policy would continue the gripper's motion instead of approaching the object.
+    times 5, clipped to [-5, 5]); zeros at the first decision of an episode. A missing hand counts as one at the origin.
+    The gripper's own velocity is left out: a network that imitates another policy would continue the gripper's motion.
     """
 
     name, size = "grasp_velocity", GraspFeatures.size + 6
@@ -226,7 +226,7 @@ class GraspVelocityFeatures(GraspFeatures):
         self._velocities[row], self._times[row] = 0.0, -1.0
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the features (r, 70) of the episodes `rows`; calls at the same episode time count as one decision."""
+        """Return the features (r, 70) of the episodes `rows`; calls at the same time have equal velocities."""
         times, gripper = to_float64(observation["time"][:, 0]), to_float64(observation["gripper_pose"])
         xp, axes, parts = (
             get_namespace(times),

@@ -93,7 +93,7 @@ class GaddpgNetwork(SavedNetwork):
     Args:
         spare_steps: Argument of `compute_approach_steps`, which moves the hand to the predicted grasp; None executes
             the predicted action instead.
-        max_steps: Largest number of decisions of an approach; None for the default of the receiver.
+        max_steps: Number of decisions of an approach to an object at rest; None for the default of the receiver.
 
     Attributes:
         features: Encoder of clouds with channels xyz in the hand link's frame (m) and a zero.

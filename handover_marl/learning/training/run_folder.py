@@ -36,7 +36,7 @@ _UNRECORDED_ARGUMENTS = ("out", "data_dir", "resume")
 def spawn_seeds(count: int, *entropy: int) -> list[int]:
     """Return `count` 32-bit seeds derived from the integers `entropy`, e.g. the seed of a training.
 
-    Different integers give unrelated seeds, unless they differ only by zeros at the end.
+    Different integers below 2^32 give unrelated seeds, unless they differ only by zeros at the end.
     """
     return [int(seed) for seed in np.random.SeedSequence(entropy).generate_state(count)]
 

@@ -130,12 +130,12 @@ class RayBody:
         return read_surfaces(self._urdf, self._tree, self._without)
 
     def compute_mesh_frames(self, joints: Array) -> tuple[Float64Array, Float64Array]:
-        """Return world rotations (n, 3, 3) and origins (n, 3) in m of the links with meshes at joint positions (d,)."""
-        rotations, origins = self.compute_link_frames(joints)
-        return rotations[self._links], origins[self._links]
+        """Return world origins (n, 3) in m and rotations (n, 3, 3) of the links with meshes at joint positions (d,)."""
+        origins, rotations = self.compute_link_frames(joints)
+        return origins[self._links], rotations[self._links]
 
     def compute_link_frames(self, joints: Array) -> tuple[Float64Array, Float64Array]:
-        """Return world rotations (L + 1, 3, 3) and origins (L + 1, 3) in m of L links, then base, at joints (d,)."""
+        """Return world origins (L + 1, 3) in m and rotations (L + 1, 3, 3) of L links, then base, at joints (d,)."""
         # Table, resting objects and hand often have the same joints in two successive images.
         # Another thread may use the same body, so the frames are stored and read in one piece.
         frames = self._last_frames
@@ -143,8 +143,8 @@ class RayBody:
             origins, rotations = self._tree.compute_link_frames(joints[None])
             self._last_frames = frames = (
                 joints.copy(),
-                np.concatenate([self._base_rotation @ rotations[0], self._base_rotation[None]]),
                 np.concatenate([origins[0] @ self._base_rotation.T + self._base_origin, self._base_origin[None]]),
+                np.concatenate([self._base_rotation @ rotations[0], self._base_rotation[None]]),
             )
         return frames[1:]
 

@@ -279,7 +279,7 @@ class RayCamera:
         """Return the axes (3, 3) of a camera in the world, as columns, and its position (3,) (m)."""
         if not camera.link:
             return np.array(camera.axes), np.array(camera.position)
-        rotations, origins = self._panda.compute_link_frames(snapshot.robot)
+        origins, rotations = self._panda.compute_link_frames(snapshot.robot)
         link = self._links.index(camera.link)
         rotation, origin = rotations[link], origins[link]
         return rotation @ np.array(camera.axes), origin + rotation @ np.array(camera.position)
@@ -293,7 +293,7 @@ class RayCamera:
         bodies += [(self._panda, snapshot.robot), *zip(self._other_objects, snapshot.objects[1:], strict=True)]
         bodies.append((self._table, _NO_JOINTS))
         frames = [body.compute_mesh_frames(joints) for body, joints in bodies]
-        rotations, origins = (np.concatenate(part) for part in zip(*frames, strict=True))
+        origins, rotations = (np.concatenate(part) for part in zip(*frames, strict=True))
         turns, places = view[0].T @ rotations, (origins - view[1]) @ view[0]
         turns, places = turns.astype(np.float32), places.astype(np.float32)
         corners = np.concatenate([body.corners for body, _ in bodies]) @ turns.swapaxes(1, 2) + places[:, None]

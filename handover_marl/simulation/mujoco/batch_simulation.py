@@ -213,7 +213,7 @@ class SimulationCache:
 
 
 def _get_layout(model: "mujoco.MjModel") -> tuple[int, ...]:
-    """Return the array sizes of a model, which are equal for models that share a batch."""
+    """Return eight array sizes of a model, which models that share a batch must have in common; see also `_accepts`."""
     return model.nq, model.nv, model.nu, model.nbody, model.ngeom, model.nbvh, model.nmocap, model.nsensordata
 
 

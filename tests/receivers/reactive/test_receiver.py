@@ -109,7 +109,7 @@ def test_grasps_beside_other_objects_are_preferred(handover_observation: Observa
     blocked = free.selector.compute_grasp_pose(free.selector.chosen, pose)
     blocked[:3] = transform_points(blocked, np.array([0.0, 0.0, -0.1]))
     observation = move_others(handover_observation, blocked)
-    estimate = PoseSceneEstimate(free.arm, free.config, lambda name: load_obstacle(CONTEXT, name))
+    estimate = PoseSceneEstimate(free.arm, free.config, lambda name: load_obstacle(CONTEXT.find_object_urdf(name)))
     estimate.update(observation)
     receiver = make_reactive()
     act(receiver, observation)

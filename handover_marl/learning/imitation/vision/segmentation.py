@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from handover_marl.datasets.dataset import Scene
-from handover_marl.geometry.panda import OPEN
+from handover_marl.geometry.panda import OPEN, SHOULDER_HEIGHT
 from handover_marl.learning.imitation.run import Batches, ImitationLearner, Network, stack_samples
 from handover_marl.learning.imitation.vision.views import RecordedViewRenderer, read_object_pose
 from handover_marl.learning.networks.point_segmentation_network import N_BODY_POINTS, PointSegmentationNetwork
@@ -113,7 +113,7 @@ class SegmentationRenderer(RecordedViewRenderer):
     def _sample_joints(self, point: Array, rng: Rng) -> Array:
         """Return random arm joints (7,) in rad between a waiting pose and a pose that looks at a world point (3,)."""
         start = self.draw_waiting_joints(_JOINT_STD, rng)
-        ahead = point - np.array(self._context.panda.base_position) - [0.0, 0.0, 0.333]
+        ahead = point - np.array(self._context.panda.base_position) - [0.0, 0.0, SHOULDER_HEIGHT]
         ahead = ahead / np.linalg.norm(ahead) + rng.normal(0.0, _DIRECTION_STD, 3)
         ahead /= np.linalg.norm(ahead)
         side = np.cross(ahead, [0.0, 0.0, 1.0])

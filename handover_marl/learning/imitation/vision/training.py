@@ -203,7 +203,7 @@ class GraspLearner(ImitationLearner[GraspNetwork, LabelledClouds]):
     """Trainer of the grasp network; reproducible for a seed, a device and a number of threads."""
 
     def compute_losses(self, network: GraspNetwork, batch: LabelledClouds) -> tuple[Tensor, dict[str, Tensor]]:
-        """Return the loss of a batch to minimize, a weighted sum, and its parts from `compute_grasp_losses`."""
+        """Return the loss to minimize, and its parts from `compute_grasp_losses`, of which it is the weighted sum."""
         # Half precision suffices for training and takes a third of the time.
         with torch.autocast(self._device.type, torch.bfloat16, enabled=self.use_bfloat16):
             outputs = network(batch.clouds)

@@ -39,7 +39,7 @@ FAULTS: dict[str, tuple[Any, str]] = {
     "object is text": ({**make_recording(), "object": np.full((181, 7), "a")}, "must be an array of numbers"),
     "no wrist at all": (change("wrist", ALL, np.nan), "wrist must have poses in at least 2 rows"),
     "fingers of another size": ({**make_recording(), "fingers": np.zeros((181, 40))}, r"must have shape \(181, 45\)"),
-    "fingers in degrees": ({**make_recording(), "fingers": np.full((181, 45), 90.0)}, "where the wrist is, got 90"),
+    "fingers in degrees": ({**make_recording(), "fingers": np.full((181, 45), 90.0)}, "with a wrist, got 90"),
     "fingers without a wrist": ({**without("wrist"), "fingers": np.zeros((181, 45))}, "fingers need a wrist"),
 }
 
