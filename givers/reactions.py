@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from handover_marl.config import CheckedConfig, bounded
+from handover_marl.config import TIME_STEP, CheckedConfig, bounded
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, ArrayFactory, to_float64
 from handover_marl.geometry.panda import FINGERTIPS
@@ -20,6 +20,9 @@ from handover_marl.givers.array_giver import (
     is_hand_previewed,
 )
 from handover_marl.policies.batch import Actions
+
+# Observed times are float32 and may be rounded down: durations count as over half a physics step earlier.
+_TIME_TOLERANCE = 0.5 * TIME_STEP
 
 
 class HandoverPoseVariation:
@@ -57,7 +60,7 @@ class HandoverPoseVariation:
         distance = compute_gripper_object_distances(observation)
         since, closest = self._since[rows], self._min_distance[rows]
         nearer = xp.isnan(since) | (distance < closest - self.min_approach)
-        late = ~nearer & (now - since >= self.timeout)
+        late = ~nearer & (now - since >= self.timeout - _TIME_TOLERANCE)
         self._timeouts[rows] += late
         number = self._timeouts[rows] % len(self.scales)
         self.scale[rows] = xp.where(late, self._scales[number], self.scale[rows])
@@ -196,7 +199,7 @@ class CooperativeGiver(ArrayGiver):
         since = self.state["grasped_since"][rows]
         since = xp.where(held, xp.where(resting, xp.where(xp.isnan(since), now, since), math.nan), since)
         self.state["grasped_since"][rows] = since
-        return resting & (now - since >= self.grasp_time)
+        return resting & (now - since >= self.grasp_time - _TIME_TOLERANCE)
 
     def _withdraw(self, rows: AnyIndices, begins: AnyArray, shift: AnyArray, observation: Observation) -> None:
         """Store the displacements to which hands withdraw, in the episodes where the mask `begins` (r,) is True.
@@ -268,7 +271,7 @@ class WithdrawingGiver(ArrayGiver):
         is_present = observation["hand_present"][:, 0] != 0.0
         state["last_distance"][rows] = xp.where(is_present, distance, math.nan)
         withdraws = is_present & (distance < config.max_distance) & (speed > config.max_speed)
-        until = xp.where(withdraws, now + config.return_after, state["until"][rows])
+        until = xp.where(withdraws, now + config.return_after - _TIME_TOLERANCE, state["until"][rows])
         withdrawal = compute_withdrawals(observation, config.withdrawal)
         displacement = xp.where(withdraws[:, None], withdrawal, state["displacement"][rows])
         state["until"][rows], state["displacement"][rows] = until, displacement

@@ -169,14 +169,16 @@ def test_stopping_when_near() -> None:
     assert giver.act(seen())[0] == 0.0
 
 
-def test_withdrawing_from_what_comes_fast() -> None:
+@pytest.mark.parametrize("start", range(10, 60, 7))
+def test_hands_withdraw_for_a_time_from_what_comes_fast(start: int) -> None:
     def after(closing: float) -> np.ndarray:
-        giver = make("withdrawing")
+        giver, times = make("withdrawing"), np.float32(0.1 * (start + np.arange(10)))
         giver.act(seen(gripper_pose=np.float32([0.6, 0.05 - 0.1 * closing, 1.2, 0, 0, 0, 1])))
-        return giver.act(seen(gripper_pose=np.float32([0.6, 0.05, 1.2, 0, 0, 0, 1])))[1:4]
+        near = np.float32([0.6, 0.05, 1.2, 0, 0, 0, 1])
+        return np.array([giver.act(seen(gripper_pose=near, time=times[[n]]))[1:4] for n in range(10)])
 
-    np.testing.assert_array_equal(after(0.1), np.zeros(3))
-    np.testing.assert_allclose(after(0.6), [0.0, 0.15, 0.0], atol=1e-6)
+    assert not after(0.1).any()
+    np.testing.assert_allclose(after(0.6), [[0.0, 0.15, 0.0]] * 8 + [[0.0, 0.0, 0.0]] * 2, atol=1e-6)
 
 
 def test_cooperation_comes_towards_the_robot_and_turns_the_object_to_the_gripper() -> None:
@@ -192,15 +194,13 @@ def test_cooperation_comes_towards_the_robot_and_turns_the_object_to_the_gripper
     np.testing.assert_allclose(action[4:7], [0.0, 0.0, 0.8], atol=1e-6)
 
 
-def test_cooperation_lets_go_of_what_is_held_firmly_and_draws_back() -> None:
+@pytest.mark.parametrize("start", range(0, 60, 7))
+def test_cooperation_lets_go_of_what_is_held_firmly_and_draws_back(start: int) -> None:
     giver = make("cooperative")
-    near = np.float32([0.6, 0.2, 1.2, 0, 0, 0, 1])
-    gripping = START.copy()
+    near, gripping = np.float32([0.6, 0.2, 1.2, 0, 0, 0, 1]), START.copy()
     gripping[7:] = 0.02
-    releases = [
-        giver.act(seen(gripper_pose=near, robot_joint_position=gripping, time=np.float32([0.1 * n])))[7]
-        for n in range(4)
-    ]
+    times = np.float32(0.1 * (start + np.arange(4)))[:, None]
+    releases = [giver.act(seen(gripper_pose=near, robot_joint_position=gripping, time=time))[7] for time in times]
     assert releases == [0, 0, 1, 1]
     away = giver.act(seen(gripper_pose=near, released=np.float32([1])))
     assert away[2] == pytest.approx(0.15, abs=1e-6)
