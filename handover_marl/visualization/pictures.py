@@ -224,7 +224,7 @@ def draw_heat_map(
     axes.set_xticks(range(len(columns)), columns, rotation=30, ha="right", rotation_mode="anchor")
     axes.set_yticks(range(len(rows)), rows)
     axes.set(xlabel=axis_labels[1], ylabel=axis_labels[0])
-    axes.set_title(title, fontsize=8)
+    figure.suptitle(title, fontsize=8, wrap=True)
     for (row, column), rate in np.ndenumerate(rates):
         color = "white" if rate > _WHITE_TEXT_THRESHOLD else "black"
         axes.text(column, row, f"{100 * rate:.0f} %", ha="center", va="center", color=color)
